@@ -104,13 +104,12 @@ def audits(task: TaskConfig, maps: int) -> list[str]:
         report = summarise_audits(
             task, profile, gamma, list(audit_maps(task, split_seeds("test", maps), profile, gamma))
         )
-        mean = report["mean_returns"]
         first = f"{task.short_name}: {maps} maps, optimum {report['mean_optimal_score']:.3f}" if not rows else ""
         note = f" (shaping {shaping_gamma})" if shaping_gamma is not None else ""
         bold = "" if report["verdict"] == "aligned" else "**"
         rows.append(
             f"| {first} | `{name}`{note} | {gamma:g} | {bold}{report['share_aligned']:.1%}{bold} "
-            f"| {report['mean_score']:.3f} | {mean['honest']:.2f} | {mean['hover']:.2f} |"
+            f"| {report['mean_score']:.3f} | {report['mean_returns']['honest']:.2f} |"
         )
         print(rows[-1], file=sys.stderr)
     return rows
@@ -119,9 +118,8 @@ def audits(task: TaskConfig, maps: int) -> list[str]:
 def write_audits() -> None:
     """Write the table of audits in docs/reward.md."""
     lines = [
-        "| task | reward | gamma | maps on which it reaches the optimum | score of the maximiser "
-        "| return: honest | hover |",
-        "|---|---|---|---|---|---|---|",
+        "| task | reward | gamma | maps on which it reaches the optimum | score of the maximiser | return: honest |",
+        "|---|---|---|---|---|---|",
     ]
     for task_id, maps in AUDITED.items():
         lines += audits(TASKS[task_id], maps)

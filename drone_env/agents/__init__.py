@@ -26,9 +26,7 @@ AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     "nearest": NearestAgent,
     "beam": BeamAgent,
     "optimal": OptimalAgent,
-    "pathqnet": PathQNetAgent,
-    "ppo": PpoAgent,
-    "tournet": TournetAgent,
+    **NETWORK_AGENTS,
 }
 """The factory of each agent, by its name."""
 SHIPPED_AGENTS = tuple(AGENTS)

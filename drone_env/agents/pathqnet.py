@@ -14,8 +14,6 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.errors import UnsupportedTaskError
 
 POOLED = 4
-EPSILON = 1e-5
-"""What PyTorch's LayerNorm adds to the variance."""
 MAP_FEATURES = 64
 
 
@@ -31,24 +29,19 @@ class Network(NumpyNetwork):
     @in_one_thread
     def __call__(self, grids: npt.NDArray[np.uint8], telemetry: Array) -> Array:
         """The values of the actions."""
-        p = self.parameters
         x = np.concatenate([self._encode(grids), telemetry], axis=1)
-        x = x @ p["head.0.weight"].T + p["head.0.bias"]
-        centred = x - x.mean(axis=1, keepdims=True)
-        x = centred / np.sqrt(np.mean(centred**2, axis=1, keepdims=True) + EPSILON)
-        x = np.maximum(x * p["head.1.weight"] + p["head.1.bias"], 0)
-        x = np.maximum(x @ p["head.3.weight"].T + p["head.3.bias"], 0)
-        x = np.maximum(x @ p["head.5.weight"].T + p["head.5.bias"], 0)
-        return x @ p["head.7.weight"].T + p["head.7.bias"]
+        x = np.maximum(self._normalise("head.1", self._layer("head.0", x)), 0)
+        x = np.maximum(self._layer("head.3", x), 0)
+        x = np.maximum(self._layer("head.5", x), 0)
+        return self._layer("head.7", x)
 
     def _encode(self, grids: npt.NDArray[np.uint8]) -> Array:
         """The map features, float32[B, 64]."""
-        p = self.parameters
-        x = p["encoder.embedding.weight"][grids]
+        x = self.parameters["encoder.embedding.weight"][grids]
         x = self._convolve("encoder.conv2", self._convolve("encoder.conv1", x))
         n, height, width, _ = x.shape
         x = np.einsum("ph,nhwc,qw->npqc", pooling(height), x, pooling(width), optimize=True)
-        return np.maximum(x.reshape(n, -1) @ p["encoder.linear.weight"].T + p["encoder.linear.bias"], 0)
+        return np.maximum(self._layer("encoder.linear", x.reshape(n, -1)), 0)
 
     def _convolve(self, name: str, x: Array) -> Array:
         """A 3 x 3 convolution with padding, then ReLU: float32[B, H, W, outputs] from float32[B, H, W, inputs]."""

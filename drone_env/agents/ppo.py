@@ -27,8 +27,8 @@ class ActorNetwork(NumpyNetwork):
         """The logits, from entries int32[N, L] and features float32[N, n] of `envs.forms.StopEntries`."""
         p = self.parameters
         x = p["stops.weight"][entries].sum(axis=1) + features @ p["features.weight"].T + p["features.bias"]
-        x = np.maximum(np.maximum(x, 0) @ p["hidden.weight"].T + p["hidden.bias"], 0)
-        return x @ p["actor.weight"].T + p["actor.bias"]
+        x = np.maximum(self._layer("hidden", np.maximum(x, 0)), 0)
+        return self._layer("actor", x)
 
 
 def load_actor(path: Path) -> ActorNetwork:

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents.pathqnet import EPSILON
 from drone_env.agents.tour_features import Features, make_features
-from drone_env.agents.weights_file import TOURNET, Array, NumpyNetwork, Weights, in_one_thread, read_weights, rejecting
+from drone_env.agents.weights_file import TOURNET, Array, NumpyNetwork, in_one_thread, read_weights, rejecting
 
 WIDTH, HEADS, LAYERS, EDGE, EDGE_HIDDEN, HIDDEN = 64, 4, 4, 16, 32, 64
 HEAD = WIDTH // HEADS
@@ -21,49 +20,33 @@ class TourNetwork(NumpyNetwork):
         weights: The content of an exported file.
     """
 
-    def __init__(self, weights: Weights) -> None:
-        super().__init__(weights)
-        self._layers = {
-            name.removesuffix(".weight"): array.T for name, array in self.parameters.items() if array.ndim == 2
-        }
-
     @in_one_thread
     def __call__(self, features: Features) -> tuple[Array, Array]:
         """Choice and completion, float32[options] each."""
-        x = self._linear("tokens", features.tokens)
-        edges = relu(self._linear("edges2", relu(self._linear("edges1", features.edges))))
+        x = self._layer("tokens", features.tokens)
+        edges = relu(self._layer("edges2", relu(self._layer("edges1", features.edges))))
         for i in range(LAYERS):
             x = self._block(f"blocks.{i}", x, edges, features.present)
-        nodes = self._linear("node", self._normalise("norm", x))
+        nodes = self._layer("node", self._normalise("norm", x))
         owner = np.repeat(np.arange(len(nodes)), np.diff(features.begins))
-        y = relu(nodes[owner, features.token] + features.options @ self._layers["option"])
-        y += relu(self._linear("hidden", y))
-        choice, completion = self._linear("head", y).T
+        y = relu(nodes[owner, features.token] + features.options @ self.parameters["option.weight"].T)
+        y += relu(self._layer("hidden", y))
+        choice, completion = self._layer("head", y).T
         return choice - 2 * np.logaddexp(0, -completion), completion
 
     def _block(self, name: str, x: Array, edges: Array, present: npt.NDArray[np.bool_]) -> Array:
         """Attention between the present tokens of each state, then a layer for each token, float32[M, N, width]."""
         m, n, _ = x.shape
-        qkv = self._linear(f"{name}.qkv", self._normalise(f"{name}.norm1", x))
+        qkv = self._layer(f"{name}.qkv", self._normalise(f"{name}.norm1", x))
         q, k, v = qkv.reshape(m, n, 3, HEADS, HEAD).transpose(2, 0, 3, 1, 4)
-        logits = q @ k.swapaxes(2, 3) / sqrt(HEAD) + self._linear(f"{name}.bias", edges).transpose(0, 3, 1, 2)
+        logits = q @ k.swapaxes(2, 3) / sqrt(HEAD) + self._layer(f"{name}.bias", edges).transpose(0, 3, 1, 2)
         logits = np.where(present[:, None, None, :], logits, -np.inf)
         weights = np.exp(logits - logits.max(axis=3, keepdims=True))
         weights /= weights.sum(axis=3, keepdims=True)
         values = (weights @ v).transpose(0, 2, 1, 3).reshape(m, n, WIDTH)
         messages = (weights.transpose(0, 2, 1, 3) @ edges).reshape(m, n, HEADS * EDGE)
-        x = x + self._linear(f"{name}.out", np.concatenate([values, messages], axis=2))
-        return x + self._linear(f"{name}.down", relu(self._linear(f"{name}.up", self._normalise(f"{name}.norm2", x))))
-
-    def _linear(self, name: str, x: Array) -> Array:
-        y = x.reshape(-1, x.shape[-1]) @ self._layers[name] + self.parameters[f"{name}.bias"]
-        return y.reshape(*x.shape[:-1], y.shape[1])
-
-    def _normalise(self, name: str, x: Array) -> Array:
-        """PyTorch's LayerNorm."""
-        centred = x - x.mean(axis=-1, keepdims=True)
-        x = centred / np.sqrt(np.mean(centred**2, axis=-1, keepdims=True) + EPSILON)
-        return x * self.parameters[f"{name}.weight"] + self.parameters[f"{name}.bias"]
+        x = x + self._layer(f"{name}.out", np.concatenate([values, messages], axis=2))
+        return x + self._layer(f"{name}.down", relu(self._layer(f"{name}.up", self._normalise(f"{name}.norm2", x))))
 
 
 def relu(x: Array) -> Array:

@@ -28,6 +28,8 @@ Array = npt.NDArray[np.float32]
 PATHQNET, TOURNET, PPO = "pathqnet", "tournet", "ppo"
 """The networks."""
 METADATA = "drone_env"
+EPSILON = 1e-5
+"""What PyTorch's LayerNorm adds to the variance."""
 HUB_FILE = "model.safetensors"
 """The file of a network on the Hub, and in a folder of `HubNetwork.save_pretrained`."""
 HUB_NAME = re.compile(r"[\w.-]+/[\w.-]+")
@@ -57,6 +59,17 @@ class NumpyNetwork:
 
     def __init__(self, weights: Weights) -> None:
         self.parameters, self.metadata, self.digest = weights
+
+    def _layer(self, name: str, x: Array) -> Array:
+        """A linear layer, float32[..., outputs]."""
+        y = x.reshape(-1, x.shape[-1]) @ self.parameters[f"{name}.weight"].T + self.parameters[f"{name}.bias"]
+        return y.reshape(*x.shape[:-1], y.shape[1])
+
+    def _normalise(self, name: str, x: Array) -> Array:
+        """PyTorch's LayerNorm."""
+        centred = x - x.mean(axis=-1, keepdims=True)
+        x = centred / np.sqrt(np.mean(centred**2, axis=-1, keepdims=True) + EPSILON)
+        return x * self.parameters[f"{name}.weight"] + self.parameters[f"{name}.bias"]
 
     def check_telemetry(self, path: Path, task: TaskConfig) -> None:
         """Check that a task has the telemetry that the network from this file takes.

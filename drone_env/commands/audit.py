@@ -74,7 +74,6 @@ def audit(
 RETURNS = {
     "maximiser": "the flight that earns most",
     "honest": "the flight that scores most",
-    "hover": "wait before the last delivery, deliver at the last moment",
 }
 
 

@@ -18,7 +18,6 @@ from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.grid_generator import generate_city_map
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidValueError
 
 ART = Path(__file__).parent / "art"
 Point = tuple[float, float]
@@ -31,7 +30,6 @@ PALETTE = {
     "lawn": "#CFDEBB",
     "street": "#F7F4EA",
 }
-MIN_SIZE, MAX_SIZE = 64, 4096  # pixels
 FPS = 8  # pictures per second of a window
 FINE = 2  # lines and streets are drawn larger by this factor, and reduced
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
@@ -61,44 +59,22 @@ def draw_picture(episode: Episode, size: int = 720) -> npt.NDArray[np.uint8]:
 
     Args:
         episode: A started episode; it is not changed.
-        size: Height of the picture in pixels, 64 to 4096. The width depends on it and on the shape of the grid.
+        size: Height of the picture in pixels, at least 64. The width depends on it and on the shape of the grid.
 
     Returns:
         uint8[size, width, 3], RGB, with an even width.
 
     Raises:
         EpisodeError: before the first reset.
-        InvalidValueError: if the size is out of range.
     """
-    return np.array(_picture(episode, size), dtype=np.uint8)
-
-
-def save_picture(episode: Episode, path: str | Path, size: int = 720) -> None:
-    """Write the picture of `draw_picture` to a file in the format of its suffix. Missing folders are created.
-
-    Raises:
-        EpisodeError: before the first reset.
-        InvalidValueError: if the size is not 64 to 4096 pixels.
-        ValueError: if the suffix is not an image format.
-        OSError: if the file cannot be written.
-    """
-    picture = _picture(episode, size)
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    picture.save(path)
-
-
-def _picture(episode: Episode, size: int) -> Image.Image:
-    if not MIN_SIZE <= size <= MAX_SIZE:
-        raise InvalidValueError(f"size must be {MIN_SIZE} to {MAX_SIZE} pixels, got {size!r}")
-    layout = _layout(episode.task, size)
-    picture = _city(episode.task, episode.task.attribution, episode.seed, size).copy()
+    task = episode.task
+    layout, picture = _layout(task, size), _city(task, task.attribution, episode.seed, size).copy()
     _draw_lines(picture, layout, episode)
     for x, y, delivered in episode.parcels:
         _stamp(picture, "delivered" if delivered else "parcel", layout.figure(), layout.centre(x, y))
     if episode.target is not None:
         _stamp(picture, "target", layout.figure(), layout.centre(*episode.target))
     _stamp(picture, "drone", layout.figure(1.15), layout.centre(*episode.position))
-    task = episode.task
     status = (
         f"{task.id.replace('_', ' ').capitalize()}, map {episode.seed}: {episode.message}",
         f"score {100 * episode.score:.1f} of 100,  battery {episode.battery_units} of {task.battery_capacity},  "
@@ -106,7 +82,19 @@ def _picture(episode: Episode, size: int) -> Image.Image:
     )
     for line, words in enumerate(status):
         _write_below(picture, layout, task, line, words, "ink")
-    return picture
+    return np.array(picture, dtype=np.uint8)
+
+
+def save_picture(episode: Episode, path: str | Path, size: int = 720) -> None:
+    """Write the picture of `draw_picture` to a file in the format of its suffix. Missing folders are created.
+
+    Raises:
+        EpisodeError: before the first reset.
+        ValueError: if the suffix is not an image format.
+        OSError: if the file cannot be written.
+    """
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(draw_picture(episode, size)).save(path)
 
 
 def _layout(task: TaskConfig, size: int) -> Layout:

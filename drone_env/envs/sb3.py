@@ -139,16 +139,9 @@ class DroneDeliveryVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> Any:
-        """Call `action_masks`, the only method of a single drone: a list of bool[5].
-
-        Raises:
-            UnknownNameError: if the method is another one.
-            TypeError: if there are arguments.
-        """
-        if method_name != "action_masks":
-            raise UnknownNameError("method of a single drone", method_name, ["action_masks"])
-        masks = self.action_masks(*method_args, **method_kwargs)
-        return [masks[i] for i in self._get_indices(indices)]
+        """Call a method of all drones, such as `action_masks`, and return the parts of its result for `indices`."""
+        results = getattr(self, method_name)(*method_args, **method_kwargs)
+        return [results[i] for i in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """True for SB3's `Monitor`, because infos contain `episode`; else False."""

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from drone_env.core.actions import Action, Event
+from drone_env.core.actions import Action
 from drone_env.core.episode import Episode, Observation, rollout
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.optimal import Solution, solve_episode
+from drone_env.planning.optimal import solve_episode
 from drone_env.planning.returns import highest_returns
 
 
@@ -29,7 +29,7 @@ class MapAudit:
         score: The lowest score of all return-maximising flights.
         actions: The actions of that flight.
         maximum: Its discounted return.
-        returns: Discounted returns of other flights: `honest` (a best score) and `hover`.
+        honest: The discounted return of a flight with the best score.
     """
 
     seed: int
@@ -37,7 +37,7 @@ class MapAudit:
     score: float
     actions: tuple[Action, ...]
     maximum: float
-    returns: dict[str, float]
+    honest: float
 
     @property
     def aligned(self) -> bool:
@@ -54,10 +54,9 @@ def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardPro
     start = Episode(task, reward_profile, seed)
     solution = solve_episode(start)
     flight, maximum = _maximise(start, gamma)
-    flights = {"honest": solution.actions, "hover": hover(start, solution)}
-    returns = {name: _return(start.copy().fly(actions), gamma) for name, actions in flights.items()}
+    honest = sum(reward * gamma**t for t, reward in enumerate(start.copy().fly(solution.actions).rewards))
     actions = tuple(step.action for step in flight.path)
-    return MapAudit(start.seed, solution.score, flight.score, actions, maximum, returns)
+    return MapAudit(start.seed, solution.score, flight.score, actions, maximum, honest)
 
 
 def audit_maps(task: TaskConfig, seeds: range, reward_profile: RewardProfile, gamma: float) -> Iterator[MapAudit]:
@@ -93,7 +92,7 @@ def summarise_audits(
         "mean_optimal_score": mean(audited.optimum for audited in audits),
         "mean_returns": {
             "maximiser": mean(audited.maximum for audited in audits),
-            **{name: mean(audited.returns[name] for audited in audits) for name in audits[0].returns},
+            "honest": mean(audited.honest for audited in audits),
         },
         "worst": {
             "seed": worst.seed,
@@ -121,25 +120,3 @@ def _aim(flight: Episode) -> tuple[int, int]:
     """(delivered set, number of the target) of an episode that started with all parcels undelivered."""
     delivered = sum(done << i for i, (_, _, done) in enumerate(flight.parcels))
     return delivered, [(x, y) for x, y, _ in flight.parcels].index(flight.target or (-1, -1))
-
-
-def _return(flight: Episode, gamma: float) -> float:
-    """The discounted return of a flight."""
-    return sum(reward * gamma**t for t, reward in enumerate(flight.rewards))
-
-
-def hover(start: Episode, solution: Solution) -> tuple[Action, ...]:
-    """Fly the best flight, but wait before the last delivery for as long as it stays possible."""
-    best = start.copy().fly(solution.actions)
-    deliveries = [t for t, step in enumerate(best.path) if step.event is Event.DELIVERY]
-    if not deliveries:
-        return solution.actions
-
-    last, waits = deliveries[-1], 0
-
-    def waiting(steps: int) -> tuple[Action, ...]:
-        return (*solution.actions[:last], *(Action.WAIT,) * steps, *solution.actions[last:])
-
-    while start.copy().fly(waiting(waits + 1)).deliveries_done == solution.deliveries:
-        waits += 1
-    return waiting(waits)

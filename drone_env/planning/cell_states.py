@@ -55,13 +55,12 @@ class CellStates(NamedTuple):
 
 def states_at_cells(episode: Episode, cells: npt.NDArray[np.int64] | None = None) -> CellStates:
     """The states with the drone at these cells, or at all cells that it can enter. The episode is not changed."""
-    task, tables = episode.task, interpreted(episode.task)
-    grid, state, _ = state_arrays(episode)
+    tables, (grid, state, _) = interpreted(episode.task), state_arrays(episode)
     cells = open_cells(episode) if cells is None else cells
     n = len(cells)
-    telemetry = np.zeros((n, task.telemetry_size), np.float32)
+    telemetry = np.zeros((n, tables.telemetry_size), np.float32)
     places = CellStates(cells, np.tile(grid, (n, 1)), np.tile(state, (n, 1)), telemetry)
-    for cell, *arrays in zip(cells.tolist(), places.grids, places.states, telemetry, strict=True):
+    for cell, *arrays in zip(cells.tolist(), *places[1:], strict=True):
         grid, state, values = map(view, arrays)
         put_drone(tables, grid, state, cell, state[STEPS], state[BATTERY])
         if state[UNDER] == DELIVERY_CELL:

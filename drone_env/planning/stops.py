@@ -306,29 +306,21 @@ def beam_kernel(stops: StopMap, start: Any, beams: Any, scores: Any, best: Any, 
 
 
 @kernel
-def stop_value_kernel(stops: StopMap, units: Any, steps: Any, first: Any, values: Any) -> None:
+def stop_value_kernel(stops: StopMap, first: Any, values: Any) -> None:
     """Compute the highest score by stops from each state, if no path leads on beyond a waiting parcel.
 
     Args:
         stops: The map; its ground and its distances between stops are modified.
-        units: int64[sets delivered, stops, stops], receives the battery units of the cheapest paths.
-        steps: The same shape, receives their steps.
         first: int64[cells], working memory.
         values: float64[sets delivered, stops, units + 1, steps left + 1], receives the scores.
     """
-    n, n_stops, everything, capacity = stops.parcels, len(units[0]), len(units) - 1, stops.tables.capacity
-    for delivered in range(everything):
+    n, n_stops, capacity = stops.parcels, values.shape[1], stops.tables.capacity
+    for delivered in range(len(values) - 1, -1, -1):
         for parcel in range(n):
             stops.ground[stops.cells[parcel]] = DELIVERED_CELL if delivered >> parcel & 1 else DELIVERY_CELL
         for place in range(n_stops):
             measure(stops, place, first)
-            copy(stops.units[place], units[delivered, place], n_stops)
-            copy(stops.steps[place], steps[delivered, place], n_stops)
-    for left in range(values.shape[3]):  # each stop takes a step at least
-        for delivered in range(everything + 1):
-            for place in range(n_stops):
-                copy(units[delivered, place], stops.units[place], n_stops)
-                copy(steps[delivered, place], stops.steps[place], n_stops)
+        for left in range(values.shape[3]):  # each stop takes a step at least
             for place in range(n_stops):
                 if place < n and not delivered >> place & 1:
                     continue
@@ -443,13 +435,11 @@ def stop_values(episode: Episode) -> dict[str, float]:
     if not found:
         return {}
     stops, start = measure_stops(episode, through=False)
-    n, sets, places = start.place, 1 << stops.parcels, stops.cells.tolist()
-    shape = sets, n, stops.tables.capacity + 1, start.left + 1
-    require_memory("the values of stops", episode.task, 8 * (math.prod(shape) + 2 * sets * n * n))
-    units, steps = np.zeros((2, sets, n, n), np.int64)
-    values = np.zeros(shape)
-    stop_value_kernel(stops, units, steps, np.zeros(stops.tables.cells, np.int64), values)
+    places, shape = stops.cells.tolist(), (1 << stops.parcels, start.place, stops.tables.capacity + 1, start.left + 1)
     ends = {stop.label: fly_to(stops, start, places.index(stop.cell)) for stop in found}
+    require_memory("the values of stops", episode.task, 8 * math.prod(shape))
+    values = np.zeros(shape)
+    stop_value_kernel(stops, np.zeros(stops.tables.cells, np.int64), values)
     return {label: float(values[at.delivered, at.place, at.units, at.left]) for label, at in ends.items()}
 
 

@@ -37,13 +37,8 @@ def shortest_tour(start: Position, parcels: Sequence[Position], budget: int) -> 
     legs = [[distance(a, b) for b in parcels] for a in parcels]
     # The steps of the shortest path that visits a set and ends at a parcel, or `UNREACHED` if it is over budget.
     lengths = [[UNREACHED] * n for _ in range(1 << n)]
-    order: list[int] = []
-    best, best_last, best_size = 0, 0, 0
-    best_length = UNREACHED
+    best, best_visited, best_last = (0, 0), 0, 0
     for visited in range(1, 1 << n):
-        size = 0
-        for last in range(n):
-            size += visited >> last & 1
         for last in range(n):
             if not visited >> last & 1:
                 continue
@@ -55,16 +50,16 @@ def shortest_tour(start: Position, parcels: Sequence[Position], budget: int) -> 
             if shortest > budget:
                 continue
             lengths[visited][last] = shortest
-            if size > best_size or (size == best_size and shortest < best_length):
-                best, best_last, best_size, best_length = visited, last, size, shortest
+            if (visited.bit_count(), -shortest) > best:
+                best, best_visited, best_last = (visited.bit_count(), -shortest), visited, last
 
-    visited, last = best, best_last
-    for _ in range(best_size):
-        order.append(last)
+    order, visited, last = list[Position](), best_visited, best_last
+    for _ in range(best[0]):
+        order.insert(0, parcels[last])
         length = lengths[visited][last]
         visited ^= 1 << last
         for i in range(n):
             if visited >> i & 1 and lengths[visited][i] + legs[i][last] == length:
                 last = i
                 break
-    return [parcels[i] for i in reversed(order)]
+    return order

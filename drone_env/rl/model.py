@@ -15,9 +15,10 @@ from math import isqrt, sqrt
 import torch
 from torch import Tensor, nn
 
-from drone_env.agents.pathqnet import EPSILON, MAP_FEATURES, POOLED
+from drone_env.agents.pathqnet import MAP_FEATURES, POOLED
 from drone_env.agents.tour_features import EDGE_FEATURES, OPTION_FEATURES, TOKEN_FEATURES
 from drone_env.agents.tour_network import EDGE, EDGE_HIDDEN, HEADS, HIDDEN, LAYERS, WIDTH
+from drone_env.agents.weights_file import EPSILON
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import N_CELL_KINDS
 from drone_env.errors import InvalidValueError

@@ -68,7 +68,7 @@ def test_rewards_that_pay_the_score_are_aligned(profile: str) -> None:
     for task, seed in SEEDS:
         audited = audit_map(task, seed, profile_for_discount(get_reward_profile(profile), 0.99), 0.99)
         assert audited.score == audited.optimum
-        assert audited.maximum >= max(audited.returns.values()) - 1e-9
+        assert audited.maximum >= audited.honest - 1e-9
 
 
 def test_shaping_for_another_discount_is_found_out() -> None:
@@ -76,12 +76,12 @@ def test_shaping_for_another_discount_is_found_out() -> None:
     assert not all(audit_map("medium", seed, profile, 1.0).aligned for seed in split_seeds("test", 12))
 
 
-def test_hover_on_one_easy_map_by_hand() -> None:
+def test_waiting_for_rewards_on_one_easy_map_by_hand() -> None:
     audited = audit_map("easy", 14, "tiered", 1.0)
     # Three steps to the parcel (see the log lines in the README): 0.15 + 0.15 + 0.99.
-    assert audited.returns["honest"] == pytest.approx(1.29)
+    assert audited.honest == pytest.approx(1.29)
     # The same with 57 waits at 0.10 before the last step.
-    assert audited.returns["hover"] == pytest.approx(1.29 + 5.7)
+    assert audited.maximum == pytest.approx(1.29 + 5.7)
     assert audited.score == 0.8
 
 
@@ -125,6 +125,6 @@ def test_the_command_prints_json_alone(tmp_path: Path, capsys: pytest.CaptureFix
     report = json.loads(capsys.readouterr().out)
     assert (status, report["verdict"], report["share_aligned"]) == (0, "aligned", 1)
     assert (report["reward"], report["maps"], report["gamma"]) == ("mine", 2, 0.99)
-    assert set(report["mean_returns"]) == {"maximiser", "honest", "hover"}
+    assert set(report["mean_returns"]) == {"maximiser", "honest"}
     assert cli.main(["audit", "--gamma", "2"]) == 2
     assert "--gamma 0 to 1; got 20 and 2" in capsys.readouterr().err
