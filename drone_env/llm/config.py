@@ -173,15 +173,13 @@ class RunConfig(StrictModel):
             UnknownNameError: if it does not exist.
             ValueError: if it has changed since the run began.
         """
-        prompt = self._prompt()
+        if self.prompt_text is None:
+            prompt = get_prompt(self.prompt)
+        else:
+            prompt = parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
         if prompt.digest != self.prompt_digest:
             raise ValueError(f"prompt {self.prompt} is now {prompt.digest}; the run was made with {self.prompt_digest}")
         return prompt
-
-    def _prompt(self) -> Prompt:
-        if self.prompt_text is None:
-            return get_prompt(self.prompt)
-        return parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
 
     def _parameters(self, repeat: int, prompt: Prompt) -> dict[str, Any]:
         """The fields of the requests of a repeat besides the messages."""
