@@ -1,13 +1,9 @@
 """`drone-env audit`: whether maximising a reward also maximises the score."""
 
-from pathlib import Path
 from typing import Any
 
-from drone_env.commands.arguments import OptionalPath, ProfileName, Split, TaskName
-from drone_env.commands.flights import prepare_file
+from drone_env.commands.arguments import ProfileName, Split, TaskName
 from drone_env.commands.printing import print_json, progress_bar
-from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
@@ -21,7 +17,6 @@ def audit(
     gamma: float = 1.0,
     maps: int = 20,
     split: Split = "test",
-    replay: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Compute the flight that maximises a reward, and its score.
@@ -32,7 +27,7 @@ def audit(
 
     Potential-based shaping uses `gamma`, because it preserves the best flights only at the learner's discount.
 
-    Example: drone-env audit --task easy --reward tiered --maps 50 --replay worst.json
+    Example: drone-env audit --task easy --reward tiered --maps 50
 
     Args:
         task: The task, by its short name, id or grader.
@@ -40,19 +35,15 @@ def audit(
         gamma: The learner's discount, 0 to 1.
         maps: Number of maps.
         split: The split; its first maps are used.
-        replay: Write the flight over the worst map to this JSON file, which the page opens.
-        json: Print JSON instead.
+        json: Print JSON instead, also the actions over the worst map.
     """
-    # Imported lazily: they load a compiler.
-    from drone_env.flights.record import record_of, save_record
+    # Imported lazily: it loads a compiler.
     from drone_env.planning.audit import MapAudit, audit_maps, summarise_audits
 
     config = get_task(task)
     if maps < 1 or not 0 <= gamma <= 1:
         raise InvalidValueError(f"--maps must be at least 1, and --gamma 0 to 1; got {maps} and {gamma:g}")
     profile = profile_for_discount(get_reward_profile(reward), gamma)
-    if replay is not None:
-        prepare_file("--replay", replay)
     seeds = split_seeds(split, maps)
     with progress_bar(f"{config.short_name} {profile.id}", maps) as advance:
         audits: list[MapAudit] = []
@@ -60,14 +51,10 @@ def audit(
             audits.append(audited)
             advance()
     report = summarise_audits(config, profile, gamma, audits)
-    if replay is not None:
-        worst = report["worst"]
-        flight = Episode(config, profile, worst["seed"]).fly(Action[action] for action in worst["actions"])
-        save_record(record_of(flight, f"maximiser of {profile.id}"), replay)
     if json:
         print_json(report)
     else:
-        _print(report, replay)
+        _print(report)
     return 0 if report["verdict"] == "aligned" else 1
 
 
@@ -77,7 +64,7 @@ RETURNS = {
 }
 
 
-def _print(report: dict[str, Any], replay: Path | None) -> None:
+def _print(report: dict[str, Any]) -> None:
     shaping = "" if report["shaping_gamma"] is None else f", shaping gamma {report['shaping_gamma']:g}"
     maps = plural(report["maps"], "map")
     title = f"{report['reward']} on {report['task']}, gamma {report['gamma']:g}{shaping}, {maps}"
@@ -91,5 +78,4 @@ def _print(report: dict[str, Any], replay: Path | None) -> None:
         f"Verdict: {report['verdict']}"
     )
     if report["verdict"] == "exploitable":
-        where = f"; its flight is in {replay}" if replay else ""
-        print(f"Worst map: {worst['seed']}, {worst['score']:.4f} where {worst['optimal_score']:.4f} can be had{where}")
+        print(f"Worst map: {worst['seed']}, {worst['score']:.4f} where {worst['optimal_score']:.4f} can be had")

@@ -41,7 +41,6 @@ class RunOptions:
         seeds: Fly the maps from A up to and not including B instead of a split's.
         repeats: Flights over each map; each sends its own sampling seed.
         prompt: The prompt: name (the newest version), id such as grid-2, or your own file.
-        history: Number of last steps that the prompt shows.
         answers: Request plain text, structured output (JSON schema), or a tool call.
         out: The run folder. Default: a new folder in llm/ of the data folder (DRONE_ENV_DATA, else data), whose store
             also gets the flights, so that a server shows them. With --server, that server stores them.
@@ -59,7 +58,6 @@ class RunOptions:
     seeds: SeedRange = None
     repeats: int = 1
     prompt: PromptName = "minimal"
-    history: int = 0
     answers: Literal["text", "json", "tool"] = "text"
     out: Path | None = None
     resume: bool = False
@@ -203,7 +201,6 @@ def _config(run: RunOptions, sampling: SamplingOptions, settings: "InferenceSett
             prompt=prompt.id,
             prompt_digest=prompt.digest,
             prompt_text=prompt.own,
-            history=run.history,
             answers=run.answers,
             sampling=Sampling(
                 temperature=sampling.temperature,

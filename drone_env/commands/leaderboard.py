@@ -2,6 +2,7 @@
 
 import sys
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -57,21 +58,20 @@ def _entries(path: Path) -> list[LeaderboardEntry | NotRanked]:
 
 def _table(board: Leaderboard) -> Table:
     figures = ("score (95 %)", "- first (95 %)", "normalised", "regret", "success", "errored", "unusable", "tokens")
-    prompts = [entry.report["config"].get("prompt", "-") for entry in board.rows]
-    same = Counter(zip((entry.agent for entry in board.rows), prompts, strict=True))
+    same = Counter((entry.agent, entry.prompt) for entry in board.rows)
     rows = [
         (
             str(rank),
-            f"{entry.agent} ({entry.path.name})" if same[entry.agent, prompt] > 1 else entry.agent,
-            prompt,
-            with_interval(entry.report["score"], entry.report["score_ci95"]),
+            f"{entry.agent} ({entry.path.name})" if same[entry.agent, entry.prompt] > 1 else entry.agent,
+            entry.prompt or "-",
+            with_interval(entry.summary.score, entry.summary.score_ci95),
             _difference(entry, board.rows[0]),
-            number(entry.report["normalised"]),
-            number(entry.report["regret"]),
-            percent(entry.report["success_rate"]),
+            number(entry.normalised),
+            number(entry.summary.regret),
+            percent(entry.summary.success_rate),
             *_model_columns(entry.report),
         )
-        for rank, (entry, prompt) in enumerate(zip(board.rows, prompts, strict=True), 1)
+        for rank, entry in enumerate(board.rows, 1)
     ]
     return Table(f"{board.task}, {board.maps}", ("", "agent or model", "prompt", *figures), rows)
 
@@ -82,9 +82,9 @@ def _difference(entry: LeaderboardEntry, first: LeaderboardEntry) -> str:
     return "" if entry is first else with_interval(mean_of(differences), ci95(differences, DIFFERENCES))
 
 
-def _model_columns(report: dict[str, Any]) -> tuple[str, str, str]:
+def _model_columns(report: Mapping[str, Any]) -> tuple[str, str, str]:
     """Return errored flights, unusable answers and tokens of a language model."""
-    if "agent" in report:
+    if not report:
         return "-", "-", "-"
     from drone_env.llm.answers import Unusable
 

@@ -10,12 +10,11 @@ from drone_env.commands.flights import log_flight
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.results.tables import plural
 
 File = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
 
-def replay(file: File, verify: bool = False, render: bool = False, reward: ChosenProfile = None) -> None:
+def replay(file: File, render: bool = False, reward: ChosenProfile = None) -> None:
     """Fly recorded flights again, verify every reward and the score to the last bit, and print their log lines.
 
     Standard output contains only the lines that `fly` printed; maps and the optimum go to standard error. A record that
@@ -25,8 +24,7 @@ def replay(file: File, verify: bool = False, render: bool = False, reward: Chose
 
     Args:
         file: A record of `fly --record`, or a JSONL file (.jsonl) with one record per line.
-        verify: Print one line per flight instead of the log.
-        render: Show the map after every step; ignored with --verify.
+        render: Show the map after every step.
         reward: Pay by another profile, or by a TOML file with one. Its rewards are not compared with the record.
     """
     # Loads Pydantic, which only records need.
@@ -36,17 +34,9 @@ def replay(file: File, verify: bool = False, render: bool = False, reward: Chose
     lines = records.read_records(file) if file.suffix == ".jsonl" else [records.load_record(file)]
     for number, record in enumerate(lines, 1):
         name = f"line {number} of {file}" if file.suffix == ".jsonl" else f"{file}"
-        if verify and profile is not None and profile.id != record.reward_profile:
-            raise InvalidValueError(
-                f"--verify compares the rewards of {record.reward_profile!r}, not of {profile.id!r}"
-            )
         try:
             episode = records.replay(record, profile)
         except (InvalidValueError, UnknownNameError) as error:
             raise InvalidValueError(f"{name}: {error}") from None
-        if verify:
-            rewards, ended = plural(len(record.rewards), "reward"), "" if record.ended else ", unfinished"
-            print(f"verified: {name}: {record.task} map {record.seed}, {rewards}, score {record.score!r}{ended}")
-        else:
-            start = Episode(episode.task, episode.reward_profile, record.seed)
-            log_flight(start, record.agent, episode.actions, render)
+        start = Episode(episode.task, episode.reward_profile, record.seed)
+        log_flight(start, record.agent, episode.actions, render)

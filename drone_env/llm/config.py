@@ -128,7 +128,6 @@ class RunConfig(StrictModel):
     prompt: str = Field(description="Id of the prompt.")
     prompt_digest: str = Field(description="Digest of its file.")
     prompt_text: str | None = Field(default=None, description="Its text, if it is from outside the package.")
-    history: Count = Field(description="Number of last steps that the prompt shows.")
     answers: Literal["text", "json", "tool"]
     sampling: Sampling
 
@@ -148,8 +147,6 @@ class RunConfig(StrictModel):
     def _check(self) -> Self:
         if self.rules != custom_task_rules(self.task_config):
             raise ValueError(f"the task {self.task!r} has changed since the run: name the file as it was")
-        if self.history and "history" not in self._prompt().user:
-            raise ValueError(f"prompt {self.prompt} shows no last steps: history must be 0")
         return self
 
     @property
@@ -165,7 +162,7 @@ class RunConfig(StrictModel):
     def episode_run(self, index: int, prompt: Prompt) -> EpisodeRun:
         """A flight at its start, by its number: all maps once, then all again."""
         repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
-        run = EpisodeRun(self.task_config, self.seeds[0] + offset, prompt, ORIGINAL_PROFILE, self.history)
+        run = EpisodeRun(self.task_config, self.seeds[0] + offset, prompt, ORIGINAL_PROFILE)
         run.index, run.repeat, run.parameters = index, repeat, self._parameters(repeat, prompt)
         return run
 
@@ -176,15 +173,13 @@ class RunConfig(StrictModel):
             UnknownNameError: if it does not exist.
             ValueError: if it has changed since the run began.
         """
-        prompt = self._prompt()
+        if self.prompt_text is None:
+            prompt = get_prompt(self.prompt)
+        else:
+            prompt = parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
         if prompt.digest != self.prompt_digest:
             raise ValueError(f"prompt {self.prompt} is now {prompt.digest}; the run was made with {self.prompt_digest}")
         return prompt
-
-    def _prompt(self) -> Prompt:
-        if self.prompt_text is None:
-            return get_prompt(self.prompt)
-        return parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
 
     def _parameters(self, repeat: int, prompt: Prompt) -> dict[str, Any]:
         """The fields of the requests of a repeat besides the messages."""

@@ -13,7 +13,7 @@ from typing import Any
 
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError, needs
+from drone_env.errors import needs
 from drone_env.flights.record import record_of
 from drone_env.llm.answers import Answer, ChatMessage, Unusable
 from drone_env.llm.prompt import get_prompt
@@ -28,9 +28,7 @@ with needs("inspect"):
         ChatMessageAssistant,
         ChatMessageSystem,
         ChatMessageUser,
-        ContentReasoning,
         GenerateConfig,
-        ModelOutput,
         get_model,
     )
     from inspect_ai.scorer import Score, Scorer, Target, mean, scorer, stderr  # pyright: ignore[reportMissingImports]
@@ -46,7 +44,6 @@ def drone_delivery(
     prompt: str = "minimal",
     episodes: int = 100,
     split: str = "test",
-    history: int = 0,
     sampling_seed: int | None = None,
 ) -> Task:
     """Flights over the first maps of a split, one sample a map; Inspect's epochs are repeats.
@@ -56,24 +53,21 @@ def drone_delivery(
         prompt: The prompt: name (the newest version), id, or your own file.
         episodes: Number of maps.
         split: Split of the maps: train, validation or test.
-        history: Number of last steps that the prompt shows.
         sampling_seed: Seed of the first epoch; each further epoch sends the next one. Inspect's own `--seed` is the
             same in every epoch, so that all epochs are equal.
 
     Raises:
         UnknownNameError: if the task, prompt or split does not exist.
-        InvalidValueError: if a number is out of range.
+        InvalidValueError: if `episodes` is out of range.
     """
     config, chosen = get_task(task), get_prompt(prompt)
-    if history < 0:
-        raise InvalidValueError(f"history must be 0 or more, got {history}")
     samples: list[Sample] = []
     for seed in split_seeds(split, episodes):
         messages = TextEpisode(config, seed, chosen).messages
         samples.append(Sample(id=str(seed), input=_inspect_messages(messages), metadata={"seed": seed}))
     return Task(
         dataset=MemoryDataset(samples, name=f"{config.id}-{split}"),
-        solver=pilot(config.id, prompt if chosen.own else chosen.id, history, sampling_seed),
+        solver=pilot(config.id, prompt if chosen.own else chosen.id, sampling_seed),
         scorer=graded(),
         fail_on_error=MAX_ERRORED,
         name=config.id,
@@ -83,13 +77,12 @@ def drone_delivery(
 
 
 @solver
-def pilot(task: str, prompt: str, history: int, sampling_seed: int | None = None) -> Solver:
+def pilot(task: str, prompt: str, sampling_seed: int | None = None) -> Solver:
     """Fly the map of a sample to its end.
 
     Args:
         task: Id of the task.
         prompt: Id of the prompt, or its file.
-        history: Number of last steps that the prompt shows.
         sampling_seed: Seed of the first epoch.
     """
     config, chosen = get_task(task), get_prompt(prompt)
@@ -98,7 +91,7 @@ def pilot(task: str, prompt: str, history: int, sampling_seed: int | None = None
         model = get_model()
         sampling = GenerateConfig(seed=None if sampling_seed is None else sampling_seed + state.epoch - 1)
         seed = state.metadata["seed"]
-        flight = EpisodeRun(config, seed, chosen, history=history)
+        flight = EpisodeRun(config, seed, chosen)
         flight.repeat = state.epoch - 1
         while flight.messages:
             messages = _inspect_messages(flight.messages)
@@ -110,7 +103,7 @@ def pilot(task: str, prompt: str, history: int, sampling_seed: int | None = None
                 state.store.set("flight", _stored(flight, str(state.model)))
                 raise
             state.messages, state.output = [*messages, output.message], output
-            flight.answer(_answer(output))
+            flight.answer(Answer(text=output.completion, finish_reason=output.stop_reason))
         state.store.set("flight", _stored(flight, str(state.model)))
         state.completed = True
         return state
@@ -157,16 +150,3 @@ def _inspect_messages(
     messages: list[ChatMessage],
 ) -> list[ChatMessageSystem | ChatMessageUser | ChatMessageAssistant]:
     return [ROLES[message["role"]](content=message["content"]) for message in messages]
-
-
-def _answer(output: ModelOutput) -> Answer:
-    content = output.message.content if output.choices else ""
-    thoughts = (
-        [part.text for part in content if isinstance(part, ContentReasoning)] if isinstance(content, list) else []
-    )
-    return Answer(
-        text=output.completion,
-        reasoning="\n".join(thoughts) or None,
-        finish_reason=output.stop_reason,
-        model=output.model,
-    )

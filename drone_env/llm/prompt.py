@@ -6,7 +6,7 @@ in `prompts/parts`.
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -61,17 +61,16 @@ class Prompt(StrictModel):
     user: Template = Field(description="A template.")
     repair: Template = Field(description="A template with the one value `reason`.")
 
-    def messages(self, episode: Episode, last_steps: Sequence[str] = ()) -> list[ChatMessage]:
+    def messages(self, episode: Episode) -> list[ChatMessage]:
         """The system message, if it has text, and the user message that ask for the next action, or for the route.
 
         Args:
             episode: The episode in its current state.
-            last_steps: The last steps, one line each.
 
         Raises:
             InvalidValueError: if the template of your own prompt cannot be rendered.
         """
-        values = _values(episode, last_steps)
+        values = _values(episode)
         user = [self._render(self.user, values), "" if self.stop else below_text(episode)]
         texts = {"system": self._render(self.system, values), "user": "\n".join(filter(None, user))}
         return [{"role": role, "content": text} for role, text in texts.items() if text or role == "user"]
@@ -196,7 +195,7 @@ def _template(text: str) -> Any:
     return _environment().from_string(text)
 
 
-def _values(episode: Episode, last_steps: Sequence[str]) -> dict[str, object]:
+def _values(episode: Episode) -> dict[str, object]:
     """The values that a template can use."""
     task, cells, target = episode.task, episode.grid(), episode.target
     x, y = episode.position
@@ -217,7 +216,6 @@ def _values(episode: Episode, last_steps: Sequence[str]) -> dict[str, object]:
         "height": task.height,
         "parcels": _places(cells == Cell.DELIVERY),
         "grid": "\n".join(" ".join(map(CELL_LETTERS.__getitem__, row)) for row in cells.tolist()),
-        "history": "\n".join(["", "Last steps:", *last_steps]) if last_steps else "",
         "task": task,
         "drains": [(_label(kind), units) for kind, units in task.drain if units != 1],
         "impassable": sorted(map(_label, task.impassable)),

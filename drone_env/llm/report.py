@@ -1,6 +1,5 @@
 """The report of a run: scores with the optimum of each map, and what answering them took."""
 
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ from drone_env.files import write_json
 from drone_env.llm.answers import Unusable
 from drone_env.llm.run_folder import Run, read_run, turns_of
 from drone_env.results.evaluate import episodes_key, run_episodes
-from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, map_rows
+from drone_env.results.leaderboard import LeaderboardEntry, NotRanked
 from drone_env.results.statistics import Summary, mean_of, normalised
 
 
@@ -22,14 +21,11 @@ def report(run: Run) -> LeaderboardEntry:
     counts the others.
     """
     config, budget, counted = run.config, run.budget, run.counted
-    waits: Counter[int] = Counter()
-    for flight in counted:
-        waits[flight.seed] += flight.waits
     random = run_episodes(episodes_key(config.task_config, "random", range(*config.seeds), config.split))
     by_seed = dict(zip(random.seeds.tolist(), random.scores.tolist(), strict=True))
     results = run.results(dict(zip(random.seeds.tolist(), random.optimal_scores.tolist(), strict=True)))
-    summary, maps, turns = Summary.of(results), map_rows(results), turns_of(run.flights)
-    floor, unusable = mean_of([by_seed[row["seed"]] for row in maps]), Unusable.among(turns)
+    summary, turns = Summary.of(results), turns_of(run.flights)
+    floor, unusable = mean_of([by_seed[seed] for seed in {one.seed for one in counted}]), Unusable.among(turns)
     verdict, reason = run.verdict
     figures: dict[str, Any] = {
         "format": "drone_env/llm-report",
@@ -57,9 +53,8 @@ def report(run: Run) -> LeaderboardEntry:
         "waits": sum(flight.waits for flight in run.flights),
         "calls": {"answered": budget.answers, "requests": budget.requests, "without_usage": budget.unmetered},
         "tokens": {"prompt": budget.prompt_tokens, "completion": budget.completion_tokens, "total": budget.tokens},
-        "maps": [{**row, "waits": waits[row["seed"]]} for row in maps],
     }
-    return LeaderboardEntry(run.path, figures, results)
+    return LeaderboardEntry(run.path, results, floor, figures)
 
 
 def run_entry(path: Path) -> LeaderboardEntry | NotRanked:

@@ -33,7 +33,6 @@ class TextEpisode:
         seed: The map.
         prompt: The prompt, its name (the newest version) or id, or your own TOML file.
         reward_profile: The rewards of the steps; they do not change the score.
-        history: Number of last steps that the prompt shows.
 
     Attributes:
         episode: The episode in its current state.
@@ -56,7 +55,6 @@ class TextEpisode:
         seed: int,
         prompt: Prompt | str = "minimal",
         reward_profile: RewardProfile | str = DEFAULT_PROFILE,
-        history: int = 0,
     ) -> None:
         self.prompt = get_prompt(prompt) if isinstance(prompt, str) else prompt
         self.episode = Episode(task, reward_profile, seed)
@@ -65,8 +63,6 @@ class TextEpisode:
         self.faults: list[Reading] = []
         self.flown: list[tuple[Action, float, bool, str | None]] = []
         self.attempt: Literal[1, 2] = 1
-        self._history = history
-        self._steps: list[str] = []
         self._ways: dict[str, list[Action]] = {}
         self.messages: list[ChatMessage] = self._request()
 
@@ -102,9 +98,6 @@ class TextEpisode:
             reward = episode.step(action)
             ended = episode.ended
             self.flown.append((action, reward, ended, None if reading.actions else outcome))
-            if self._history:
-                x, y = episode.position
-                self._steps.append(f"{episode.steps}. {action.name} -> ({x}, {y}). {episode.message}")
             if ended:
                 break
         done = self.prompt.plan or self.flown[-1][2]
@@ -117,7 +110,7 @@ class TextEpisode:
             self._ways = ways_of(self.episode)
             if not self._ways:
                 return []
-        return self.prompt.messages(self.episode, self._steps[-self._history :])
+        return self.prompt.messages(self.episode)
 
     def fly(self, directions: object) -> str:
         """Fly a tool call instead of an answer; returns what happened, and where the drone is now.

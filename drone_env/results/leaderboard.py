@@ -1,17 +1,17 @@
 """Leaderboards of agents and language models over the same maps of a task."""
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from drone_env.errors import DroneEnvError
-from drone_env.results.evaluate import episodes_key, run_episodes, summarise
+from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.result import Results, repeated
-from drone_env.results.statistics import normalised
+from drone_env.results.statistics import Summary, normalised
 
 
 class NotRanked(NamedTuple):
@@ -21,19 +21,41 @@ class NotRanked(NamedTuple):
     reason: str
 
 
-class LeaderboardEntry(NamedTuple):
-    """An agent on one task of an evaluation, or a run of a language model."""
+@dataclass(frozen=True)
+class LeaderboardEntry:
+    """An agent on one task of an evaluation, or a run of a language model.
+
+    Attributes:
+        path: The folder.
+        results: The flights that count.
+        random: The mean score of random flights over the same maps; None if no flight counts.
+        report: The report of a run, empty for an agent.
+    """
 
     path: Path
-    report: dict[str, Any]
-    """JSON values; they include `config` (`task`, `task_version`, `seeds`, `split`), `score` and `normalised`."""
     results: Results
-    """The flights that count."""
+    random: float | None
+    report: Mapping[str, Any]
 
     @property
     def agent(self) -> str:
         """The agent or the model."""
         return self.results.key.agent
+
+    @property
+    def prompt(self) -> str | None:
+        """The prompt of a run; None for an agent."""
+        return self.report["config"]["prompt"] if self.report else None
+
+    @cached_property
+    def summary(self) -> Summary:
+        """The statistics of the flights."""
+        return Summary.of(self.results)
+
+    @property
+    def normalised(self) -> float | None:
+        """(score - random) / (optimal - random)."""
+        return normalised(self.summary.score, self.random, self.summary.optimum)
 
 
 class Leaderboard(NamedTuple):
@@ -68,52 +90,19 @@ def _entry(path: Path, agent: str, repeats: tuple[Results, ...]) -> LeaderboardE
     key = repeats[0].key
     by_chance = episodes_key(key.task, "random", range(*key.seeds), key.split)
     random = shipped_results(by_chance) or run_episodes(by_chance)
-    figures, results = summarise(*repeats), repeated(repeats)
-    report = {
-        "agent": agent,
-        "config": {
-            "task": key.task,
-            "task_version": key.version,
-            "split": key.split,
-            "seeds": list(key.seeds),
-        },
-        "score": figures["mean_score"],
-        "score_ci95": figures["score_ci95"],
-        "normalised": normalised(figures["mean_score"], fmean(random.scores), figures["mean_optimal_score"]),
-        "regret": figures["mean_regret"],
-        "success_rate": figures["success_rate"],
-    }
-    return LeaderboardEntry(path, report, results)
-
-
-def map_rows(results: Results) -> list[dict[str, Any]]:
-    """Return the flights over each map as JSON values, by number of the map."""
-    order = np.argsort(results.seeds, kind="stable")
-    seeds, first = np.unique(results.seeds[order], return_index=True)
-    best = results.optimal_scores
-    return [
-        {
-            "seed": seed,
-            "scores": results.scores[rows].tolist(),
-            "optimum": None if np.isnan(best[rows[0]]) else float(best[rows[0]]),
-            "success": int(results.success[rows].sum()),
-            "steps": results.steps[rows].tolist(),
-        }
-        for seed, rows in zip(seeds.tolist(), np.split(order, first[1:]), strict=False)
-    ]
+    return LeaderboardEntry(path, repeated(repeats), fmean(random.scores), {})
 
 
 def group_by_maps(entries: Iterable[LeaderboardEntry]) -> list[Leaderboard]:
     """Return one leaderboard for each set of maps."""
     boards: dict[tuple[str, str], list[LeaderboardEntry]] = defaultdict(list)
     for entry in entries:
-        config = entry.report["config"]
-        task = f"{config['task']} version {config['task_version']}"
-        maps = f"maps {config['seeds'][0]} to {config['seeds'][1] - 1} ({config['split']})"
-        boards[task, maps].append(entry)
+        key = entry.results.key
+        maps = f"maps {key.seeds[0]} to {key.seeds[1] - 1} ({key.split})"
+        boards[f"{key.task} version {key.version}", maps].append(entry)
     return [Leaderboard(*key, sorted(rows, key=_rank, reverse=True)) for key, rows in sorted(boards.items())]
 
 
 def _rank(entry: LeaderboardEntry) -> tuple[float, float]:
-    normalised = entry.report["normalised"]
-    return float("-inf") if normalised is None else normalised, entry.report["score"]
+    normalised = entry.normalised
+    return float("-inf") if normalised is None else normalised, entry.summary.score or 0.0

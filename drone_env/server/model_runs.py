@@ -71,16 +71,10 @@ def _shown(entry: LeaderboardEntry | NotRanked) -> LeaderboardEntry | NotRanked:
     file = file_of(agent)
     if file is not None and file.is_absolute():
         agent = rebase_agent_path(agent, Path(file.name))
-    if not is_agent(entry):
+    if entry.report:
         newest = dict(zip(entry.results.seeds.tolist(), entry.results.ids, strict=True))
         results = replace(results, ids=[newest[seed] for seed in results.seeds.tolist()])
-    report = {name: value for name, value in entry.report.items() if name != "maps"}  # the server caches the entries
-    return LeaderboardEntry(entry.path, report, replace(results, key=results.key._replace(agent=agent)))
-
-
-def is_agent(entry: LeaderboardEntry) -> bool:
-    """Whether an agent flew, not a language model."""
-    return "agent" in entry.report
+    return replace(entry, results=replace(results, key=results.key._replace(agent=agent)))
 
 
 def run_name(path: Path) -> str:

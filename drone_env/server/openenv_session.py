@@ -16,7 +16,7 @@ from drone_env.llm.text_episode import status_text
 from drone_env.models import openenv_json
 from drone_env.server.schemas import OpenEnvReset, SessionReset, fly_route
 from drone_env.server.state import AppState
-from drone_env.server.task_api import is_drawn, start_episode
+from drone_env.server.task_api import start_episode
 
 
 def full_text(prompt: Prompt, episode: Episode) -> str:
@@ -71,10 +71,8 @@ class OpenEnvSession:
         agent = options.agent or ANONYMOUS
         if self._stored is None:
             last = None if self._session is None else self._session.episode.seed
-            if is_drawn(options):  # reading one takes milliseconds
-                episode = await asyncio.to_thread(start_episode, options, last)
-            else:
-                episode = start_episode(options, last)
+            # Reading a drawn map takes milliseconds.
+            episode = await asyncio.to_thread(start_episode, options, last)
             self._session = Session(new_id(), episode, Provenance.of(agent))
         else:
             episode = await self._use(

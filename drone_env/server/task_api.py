@@ -52,12 +52,6 @@ def is_registered(task: str) -> bool:
     return any(task in (known.id, known.short_name, known.grader) for known in TASKS.values())
 
 
-def is_drawn(options: ResetOptions) -> bool:
-    """Whether a reset may be over a drawn map, whose file is read."""
-    task = options.task_name if options.split is None else task_in(options.split)
-    return task is not None and not is_registered(task)
-
-
 def task_in(split: str) -> str:
     """The task of a split, `task/split`."""
     return split.rpartition("/")[0]

@@ -143,6 +143,6 @@ def blocks(out: str) -> list[list[str]]:
 
 def verified(done: Infer) -> None:
     """Every flight replays, and nothing holds the token."""
-    assert main(["replay", str(done.folder / "episodes.jsonl"), "--verify"]) == 0
+    assert main(["replay", str(done.folder / "episodes.jsonl")]) == 0
     assert not any(TOKEN in path.read_text() for path in done.folder.iterdir())
     assert TOKEN not in done.out + done.err

@@ -104,7 +104,6 @@ def run_config(
         "repeats": 1,
         "prompt": chosen.id,
         "prompt_digest": chosen.digest,
-        "history": 0,
         "answers": "text",
         "sampling": Sampling(),
     }

@@ -2,7 +2,6 @@
 
 import os
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -180,9 +179,9 @@ def _impassable(rules: str) -> frozenset[Cell]:
     return frozenset(KINDS[name] for name in listed.split(", "))
 
 
-def texts_of(prompt: Prompt, episode: Episode, last_steps: Sequence[str] = ()) -> tuple[str, str]:
+def texts_of(prompt: Prompt, episode: Episode) -> tuple[str, str]:
     """The texts of the system and of the user."""
-    system, user = prompt.messages(episode, last_steps)
+    system, user = prompt.messages(episode)
     return system["content"], user["content"]
 
 

@@ -51,7 +51,7 @@ def test_a_map_counts_once_however_many_of_its_flights_errored(tmp_path: Path) -
     flown = fly(sender, tmp_path / "run", seeds=(14, 16), repeats=2)
     figures = report(read_run(tmp_path / "run")).report
     assert figures["flights"]["errored"] == 1
-    assert (len(figures["maps"]), figures["success_rate"]) == (2, 1)
+    assert figures["success_rate"] == 1
     assert summary_lines(flown.result)[0].startswith(f"mean score {figures['score']:.4f} over 3 flights")
 
 
@@ -63,7 +63,6 @@ def test_errored_flights_are_kept_out_and_shown(tmp_path: Path) -> None:
     figures = found.report
     assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
     assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
-    assert [of_map["seed"] for of_map in figures["maps"]] == [14]
 
 
 def test_a_run_without_a_score_has_a_report(tmp_path: Path) -> None:
@@ -138,7 +137,7 @@ def test_the_leaderboard_ranks_whole_runs_and_agents_over_the_same_maps(
     board, other = group_by_maps(entry for entry in entries if isinstance(entry, LeaderboardEntry))
     assert [board.maps, other.maps] == ["maps 14 to 17 (custom)", "maps 14 to 18 (custom)"]
     assert [row.path for row in board.rows] == [agents, agents, again, waiting]
-    assert board.rows[-1].report["normalised"] < 0 < board.rows[0].report["normalised"]
+    assert (board.rows[-1].normalised or 0) < 0 < (board.rows[0].normalised or 0)
     assert [entry.path for entry in entries if isinstance(entry, NotRanked)] == [short]
     # Rows that would look alike show their folders.
     assert main(["leaderboard", str(waiting), str(again)]) == 0

@@ -112,7 +112,6 @@ def test_an_env_file_that_is_no_text_is_named() -> None:
             ({"base_url": url}, "API_BASE_URL must be")
             for url in ("ftp://x", "https://u:p@x/v1", "x", "https://x?key=1")
         ),
-        ({"prompt": "plan", "history": 1}, "shows no last steps"),
     ],
 )
 def test_a_run_that_cannot_be_is_refused(change: dict[str, object], why: str) -> None:

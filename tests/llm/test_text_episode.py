@@ -10,7 +10,7 @@ from drone_env.planning.optimal import solve
 
 def test_a_flight_by_text() -> None:
     # Map 14 of easy by hand.
-    flight = TextEpisode("easy", 14, reward_profile="tiered", history=1)
+    flight = TextEpisode("easy", 14, reward_profile="tiered")
     system, user = flight.messages
     assert (system["role"], user["role"]) == ("system", "user")
     again = flight.answer("Let us go left!")
@@ -18,7 +18,7 @@ def test_a_flight_by_text() -> None:
     assert again[2] == {"role": "assistant", "content": "Let us go left!"}
     assert "the answer is not one action" in again[3]["content"]
     assert flight.episode.rewards == []
-    assert flight.answer("LEFT")[1]["content"].endswith("Last steps:\n1. LEFT -> (5, 3). On the way.")
+    assert "Position: (5, 3)" in flight.answer("LEFT")[1]["content"]
     assert (flight.score, flight.success) == (0.01, False)  # as if it waited to the end
     flight.answer("UP")
     assert flight.answer("UP") == flight.messages == []

@@ -77,7 +77,7 @@ def test_plugins_and_started_processes_know_cities(yard: Path) -> None:
 def test_a_record_is_of_one_city_alone(yard: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = yard.with_name("flight.json")
     assert main(["fly", "--task", str(yard), "--agent", "optimal", "--seed", "3", "--record", str(file)]) == 0
-    assert main(["replay", str(file), "--verify"]) == 0
+    assert main(["replay", str(file)]) == 0
     kept = json.loads(file.read_text())
     assert kept["terrain"] == TASKS["yard"].terrain.digest()[:16]  # type: ignore[union-attr]
     del TASKS["yard"]

@@ -96,7 +96,6 @@ def test_the_maps_of_a_command() -> None:
         (["evaluate", "--episodes", "0"], "at least 1"),
         (["evaluate", "--seeds", "5:5"], "A < B"),
         (["trian"], "unknown command 'trian'; did you mean 'train'?"),
-        (["replay", "flight.json", "--verify", "--reward", "mine"], "aligned"),
         (["fly", "--record", "."], "--record"),
         (["fly", "--picture", "flight.gif"], "--picture takes a file that ends in .png, got flight.gif"),
         (["evaluate", "--against", "random", "--seeds", "3:4", "--task", "easy"], "two maps or more, got 1"),

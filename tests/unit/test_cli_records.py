@@ -1,7 +1,6 @@
 """Recorded flights on the command line: saved and flown again."""
 
 import json
-import re
 from pathlib import Path
 
 import pytest
@@ -49,9 +48,8 @@ def spoil(file: Path, line: int, **fields: object) -> None:
 
 
 def test_replay_stops_at_the_first_line_that_does_not_fit(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["replay", str(flights), "--verify"]) == 0
-    line = r"verified: line \d of .*flights.jsonl: easy_delivery map \d, \d+ rewards, score 0\.\d+\n"
-    assert re.fullmatch(f"({line}){{3}}", capsys.readouterr().out)
+    assert main(["replay", str(flights)]) == 0
+    assert capsys.readouterr().out.count("[END]") == 3
     for fields, wrong in (
         ({"deliveries": 2}, "deliveries 2 where the flight gives"),
         ({"rewards": [0.5] * 60}, "reward 0.5 of step 1 where the flight pays"),
@@ -63,5 +61,5 @@ def test_replay_stops_at_the_first_line_that_does_not_fit(flights: Path, capsys:
         assert captured.out.count("[START]") == captured.out.count("[END]") == 1
         assert wrong in captured.err
     flights.write_bytes(flights.read_bytes()[:-100])
-    assert main(["replay", str(flights), "--verify"]) == 2
+    assert main(["replay", str(flights)]) == 2
     assert "line 2 of" in capsys.readouterr().err

@@ -42,7 +42,7 @@ def test_a_command_pays_by_the_file(mine: Path, capsys: pytest.CaptureFixture[st
     del REWARD_PROFILES["mine"]  # as in the next process
     assert run("replay", "flight.json") == 2
     assert "unknown reward profile 'mine'" in capsys.readouterr().err
-    assert run("replay", "flight.json", "--verify", "--reward", "mine.toml") == 0
+    assert run("replay", "flight.json", "--reward", "mine.toml") == 0
     mine.write_text('id = "mine"\nbonus = 1')
     assert run(*flight, "mine.toml") == 2
     assert "reward profile mine.toml: bonus: Extra inputs are not permitted" in capsys.readouterr().err

@@ -21,7 +21,6 @@ from drone_env.server.model_runs import (
     Entries,
     folder_entries,
     identity_of,
-    is_agent,
     model_calls,
     result_folders,
     run_name,
@@ -221,16 +220,15 @@ async def _entries(request: Request, app_state: AppState, task_name: str, run: s
 
 
 def _row(entry: LeaderboardEntry) -> Run:
-    report = entry.report
-    unusable = report.get("unusable", {})
+    unusable = entry.report.get("unusable", {})
     return Run(
-        **_means(Summary.of(entry.results)),
+        **_means(entry.summary),
         agent=entry.agent,
         run=run_name(entry.path),
         shipped=entry.path == SHIPPED,
-        kind="agent" if is_agent(entry) else "model",
-        normalised=report["normalised"],
-        prompt=report["config"].get("prompt"),
+        kind="model" if entry.report else "agent",
+        normalised=entry.normalised,
+        prompt=entry.prompt,
         unusable_share=unusable.get("share"),
         marked=unusable.get("marked", False),
     )
