@@ -11,7 +11,7 @@ rounded once, so their sum may differ in the last digits; `FlightAnalysis.regret
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -78,8 +78,6 @@ class Move:
     Attributes:
         step: Its number, from 1.
         action: The action.
-        position: (x, y) after the move.
-        event: The event.
         value: V* before the move, the highest attainable score.
         regret: The loss of score, 0 or more.
         label: The label of the regret.
@@ -90,8 +88,6 @@ class Move:
 
     step: int
     action: Action
-    position: tuple[int, int]
-    event: Event
     value: float
     regret: float
     label: Label
@@ -367,8 +363,6 @@ def _move(task: TaskConfig, number: int, step: PathStep, values: list[float]) ->
     return Move(
         step=number,
         action=step.action,
-        position=(step.x, step.y),
-        event=step.event,
         value=best,
         regret=regret,
         label=label,
@@ -376,14 +370,3 @@ def _move(task: TaskConfig, number: int, step: PathStep, values: list[float]) ->
         margin=margin,
         mark=ONLY_MOVE if only else MARKS[label],
     )
-
-
-def plain(value: Any) -> Any:
-    """Return a JSON value; actions and events become names."""
-    if isinstance(value, dict):
-        return {name: plain(item) for name, item in cast(dict[str, Any], value).items()}
-    if isinstance(value, tuple):
-        return [plain(item) for item in cast(tuple[Any, ...], value)]
-    if isinstance(value, Action):
-        return value.name
-    return value.name.lower() if isinstance(value, Event) else value

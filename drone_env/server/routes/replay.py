@@ -1,7 +1,7 @@
 """The routes that look at a flight: its frames, the regret of each move, what can still be reached from a moment."""
 
 import json
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 import numpy as np
 from fastapi import APIRouter, Body, Request, Response
@@ -16,7 +16,7 @@ from drone_env.core.tasks import MAX_UNITS, get_task
 from drone_env.errors import TooLargeError
 from drone_env.flights.record import EpisodeRecord, fly_directions, record_of, replay
 from drone_env.models import DIRECTIONS, Count, Direction, Position, Score, Seed, StrictModel
-from drone_env.results.analysis import Label, analyse_actions, analyse_flight, find_loops, plain, why_failed
+from drone_env.results.analysis import Label, analyse_actions, analyse_flight, find_loops, why_failed
 from drone_env.server.exceptions import RequestError, error_responses
 from drone_env.server.frames import BestFlight, EpisodeView, FlightHeader, best_flight, frames_of
 from drone_env.server.jobs import job_networks, solver_of_map
@@ -197,9 +197,10 @@ def _annotated(record: EpisodeRecord) -> str:
 
 
 def _part(model: type[Part], part: object) -> Part:
-    """The fields of a move or a loop that a model has."""
-    fields: dict[str, Any] = vars(part)
-    return model(**{name: plain(fields[name]) for name in model.model_fields})
+    """The fields of a move or a loop that a model has, with the names of actions."""
+    fields: dict[str, Any] = {name: getattr(part, name) for name in model.model_fields}
+    actions = {name: cast(tuple[Action, ...], value) for name, value in fields.items() if isinstance(value, tuple)}
+    return model(**fields | {name: [action.name for action in value] for name, value in actions.items()})
 
 
 def _values(flight: FlightSoFar) -> str:
