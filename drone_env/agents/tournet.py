@@ -77,6 +77,8 @@ class TourFlyer:
 
         Steps left that do not fall belong to another episode: that row is ignored, with WAIT, until the next reset.
         """
+        from drone_env.agents.tour_features import HERE  # as in `__init__`
+
         grounds, drones = read_observations(self._task, grids, telemetry)
         if len(grids) != len(self._left):
             self._forget(len(grids))
@@ -90,7 +92,8 @@ class TourFlyer:
             rows = flying[i : i + self._encoder.most]
             features = self._encoder.encode(grounds[rows], drones[rows])
             choices, completions = self._network(features)
-            self._held[rows] = held = most_held(self._held[rows], features, units[rows])
+            above = features.tokens[:, :, HERE] > 0  # the pads below the drones count too
+            self._held[rows] = held = np.where(above, np.maximum(self._held[rows], units[rows, None]), self._held[rows])
             last = leads_nowhere(features, units[rows], held, completions)
             options = best_options(features, np.where(last, choices - LAST, choices))
             found = options >= 0
@@ -118,13 +121,6 @@ class TournetAgent(TourFlyer):
         loaded = load_tour_network(SHIPPED if network is None else network)
         super().__init__(task, loaded)
         self.config: Mapping[str, object] = {"agent": "tournet", "version": 2, "network": loaded.digest}
-
-
-def most_held(held: npt.NDArray[np.int64], features: "Features", units: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """The most units at each pad, int64[M, tokens], after those of the drones: the pads below them count too."""
-    from drone_env.agents.tour_features import HERE
-
-    return np.where(features.tokens[:, :, HERE] > 0, np.maximum(held, units[:, None]), held)
 
 
 def leads_nowhere(

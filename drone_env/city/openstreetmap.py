@@ -290,13 +290,12 @@ class Collection:
         # Most objects of a large extract end here, so this check comes first.
         if known and _outside(known, self.grid):
             return
+        parts = [self.grid.to_cells(np.array(part)) for line in lines for part in _known_parts(line)]
         if (street := tags.get("name")) and "lines" in forms and tags.get("highway") in _table()["names"]["highway"]:
-            parts = [self.grid.to_cells(np.array(part)) for line in lines for part in _known_parts(line)]
             self.streets.setdefault(street, []).extend(parts)
         if (match := _match(tags, *forms)) is None:
             return
         self.objects.add(name)
-        parts = [self.grid.to_cells(np.array(part)) for line in lines for part in _known_parts(line)]
         area = match.form in ("areas", "points")
         loose: set[Place | None] = set()  # ends of lines that no other line continues
         for line in lines if area else ():

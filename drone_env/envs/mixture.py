@@ -10,7 +10,6 @@ from gymnasium import spaces
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import N_CELL_KINDS
-from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.seeds import SPLITS, check_seed
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
@@ -30,8 +29,7 @@ class MixtureEnv(gymnasium.Env[dict[str, npt.NDArray[Any]], int]):
     Args:
         tasks: The tasks or their names.
         stops: If True, observations are `forms.StopEntries` instead, and `features` ends with the one-hot number.
-        reward_profile: As for `DroneDeliveryEnv`.
-        render_mode: As for `DroneDeliveryEnv`.
+        options: `reward_profile` and `render_mode`, as for `DroneDeliveryEnv`.
 
     Raises:
         UnknownNameError: if a task or the profile does not exist.
@@ -40,15 +38,9 @@ class MixtureEnv(gymnasium.Env[dict[str, npt.NDArray[Any]], int]):
 
     metadata = DroneDeliveryEnv.metadata
 
-    def __init__(
-        self,
-        tasks: Sequence[str | TaskConfig],
-        stops: bool = False,
-        reward_profile: str | RewardProfile = DEFAULT_PROFILE,
-        render_mode: str | None = None,
-    ) -> None:
-        self.render_mode = render_mode
-        self.drones = [DroneDeliveryEnv(task, None, reward_profile, render_mode) for task in tasks]
+    def __init__(self, tasks: Sequence[str | TaskConfig], stops: bool = False, **options: Any) -> None:
+        self.render_mode = options.get("render_mode")
+        self.drones = [DroneDeliveryEnv(task, **options) for task in tasks]
         if not 0 < len({drone.task.id for drone in self.drones}) == len(tasks):
             raise InvalidValueError("a mixture needs one or more tasks, all of them different")
         self._envs: list[Any] = [StopObservation(drone) for drone in self.drones] if stops else [*self.drones]

@@ -145,12 +145,8 @@ class Solver(ABC):
         if episode.ended:
             raise EpisodeError("the episode has ended: it has no further actions")
         start = self._start
-        goes_on = (
-            (episode.task, episode.seed) == (start.task, start.seed)
-            and episode.steps >= start.steps
-            and episode.actions[: len(start.actions)] == start.actions
-        )
-        if not goes_on:
+        flown = episode.task, episode.seed, episode.actions[: len(start.actions)]
+        if flown != (start.task, start.seed, start.actions):
             raise EpisodeError("the solved episode cannot reach this state: create a solver for this episode")
 
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -52,11 +53,7 @@ class Validator:
 
     def validate(self, act: ActBatch, reset: Callable[[npt.NDArray[np.int64]], None] | None = None) -> Validation:
         """Fly each map once; `act` is stateless, unless `reset` makes it forget the last maps."""
-
-        def begin() -> None:
-            if reset is not None:
-                reset(self._seeds)
-
+        begin = partial(reset, self._seeds) if reset else lambda: None
         ends = rollout_batch(self._task, self._seeds, act, reset is None, reset=begin)
         return Validation(float(ends.scores.mean()), self.optimum)
 
@@ -93,6 +90,8 @@ class BaseTrainer:
     progress: ClassVar[Any]
     config: Any
     online: Any
+    optimizer: torch.optim.Optimizer
+    updates: int = 0
 
     def __init__(self, config: Any) -> None:
         keep_freed_memory()
@@ -103,6 +102,16 @@ class BaseTrainer:
         """The lines of the log."""
         self.best: dict[str, torch.Tensor] = {}
         """The parameters of the network to export; empty before the first validation."""
+
+    def fit(self, loss: torch.Tensor, learning_rate: float) -> None:
+        """Update the network that learns by the gradient of a loss."""
+        self.optimizer.param_groups[0]["lr"] = learning_rate
+        self.optimizer.zero_grad()
+        loss.backward()
+        if self.config.max_grad_norm:
+            nn.utils.clip_grad_norm_(self.online.parameters(), self.config.max_grad_norm)
+        self.optimizer.step()
+        self.updates += 1
 
     @property
     def cpu_seconds(self) -> float:
@@ -151,7 +160,6 @@ class TaskTrainer(BaseTrainer):
         self.validation = Validation(math.nan, self.validator.optimum)
         self.best_score = -1.0
         self.steps: int = 0
-        self.updates: int = 0
 
     def keep_best(self, network: nn.Module, act: ActBatch) -> None:
         """Fly the validation maps with a network, and keep it if it is the best so far."""

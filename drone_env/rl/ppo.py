@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from drone_env.agents.weights_file import PPO
 from drone_env.core.seeds import SPLITS
@@ -144,7 +144,6 @@ class PpoTrainer(TaskTrainer):
     def learn(self, flown: list[Tensor]) -> None:
         """Fit the network to these steps, in `update_epochs` epochs of minibatches."""
         config = self.config
-        self.optimizer.param_groups[0]["lr"] = self.learning_rate
         entropy_weight = config.entropy_weight * self.left
         for _ in range(config.update_epochs):
             order = torch.randperm(len(flown[0]), generator=self.rng)
@@ -159,11 +158,7 @@ class PpoTrainer(TaskTrainer):
                 value_loss = (values - returns).square().mean() / 2
                 loss = -torch.min(gain * ratio, gain * clipped).mean() + config.value_weight * value_loss
                 loss = loss - entropy_weight * entropy
-                self.optimizer.zero_grad()
-                loss.backward()
-                nn.utils.clip_grad_norm_(self.online.parameters(), config.max_grad_norm)
-                self.optimizer.step()
-                self.updates += 1
+                self.fit(loss, self.learning_rate)
                 # The average covers fewer updates at first, to forget the initial weights.
                 update_average(self.average, self.online, 1 - min(config.average, 1 - 1 / (self.updates / 10 + 1)))
                 self.losses.append((loss.item(), entropy.item()))

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
 
 from drone_env.agents.tour_features import SHORT_TIME, Features
@@ -189,7 +189,7 @@ class TourTrainer(BaseTrainer):
         self.optimizer = torch.optim.AdamW(
             self.online.parameters(), config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
         )
-        self.updates = self.states = 0
+        self.states = 0
         self.losses: list[tuple[float, float, float]] = []
         self.ratios: dict[str, float] = {}
         """The optimality ratio of each task at the last validation."""
@@ -263,12 +263,7 @@ class TourTrainer(BaseTrainer):
         loss = choice + config.regret_weight * regret + config.completion_weight * completion
         if not loss.isfinite():
             raise InvalidValueError(f"loss NaN after {self.updates} updates: lower learning_rate, or raise warm_up")
-        self.optimizer.param_groups[0]["lr"] = self.learning_rate
-        self.optimizer.zero_grad()
-        loss.backward()
-        nn.utils.clip_grad_norm_(self.online.parameters(), config.max_grad_norm)
-        self.optimizer.step()
-        self.updates += 1
+        self.fit(loss, self.learning_rate)
         self.states += config.batch_size
         # The average covers fewer updates at first, to forget the initial weights.
         update_average(self.average, self.online, 1 - min(config.average, 1 - 1 / (self.updates / 10 + 1)))

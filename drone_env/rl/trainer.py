@@ -222,14 +222,8 @@ class Trainer(TaskTrainer):
 
         q_values = self.online(grids, telemetry).gather(1, actions).squeeze(1)
         loss = smooth_l1_loss(q_values, td_target)
-        self.optimizer.param_groups[0]["lr"] = self.learning_rate
-        self.optimizer.zero_grad()
-        loss.backward()
-        if config.max_grad_norm:
-            torch.nn.utils.clip_grad_norm_(self.online.parameters(), config.max_grad_norm)
-        self.optimizer.step()
+        self.fit(loss, self.learning_rate)
         self.losses.append(float(loss.item()))
-        self.updates += 1
         if config.target_update == "soft":
             update_average(self.target, self.online, config.tau)
 
