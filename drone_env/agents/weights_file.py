@@ -31,7 +31,7 @@ METADATA = "drone_env"
 EPSILON = 1e-5
 """What PyTorch's LayerNorm adds to the variance."""
 HUB_FILE = "model.safetensors"
-"""The file of a network on the Hub, and in a folder of `HubNetwork.save_pretrained`."""
+"""The file of a network on the Hub."""
 HUB_NAME = re.compile(r"[\w.-]+/[\w.-]+")
 """The form `USER/NAME`."""
 MOST_BYTES = 1 << 20
@@ -119,20 +119,21 @@ def read_weights(path: Path, network: str) -> Weights:
 
 
 def local_file(path: Path) -> Path:
-    """Return the file of a network: the path, the file in a folder for the Hub, or the download of `USER/NAME`.
+    """Return the file of a network: the path, or the download of `USER/NAME`.
 
     Raises:
         MissingPackageError: if it is to be downloaded, and the client of the Hub is not installed.
         CheckpointError: if it is not on the Hub, or the Hub cannot be reached.
     """
-    if path.is_dir():
-        return path / HUB_FILE
     name = path.as_posix()
     if path.exists() or path.suffix == ".safetensors" or not HUB_NAME.fullmatch(name):
         return path
     with needs("hub"):
-        from drone_env.agents.hub import downloaded
-    return downloaded(name)
+        from huggingface_hub import hf_hub_download  # pyright: ignore[reportUnknownVariableType]
+    try:
+        return Path(hf_hub_download(name, HUB_FILE))
+    except (OSError, ValueError) as error:
+        raise CheckpointError(f"{name} is no file here, and the Hub does not give it: {error}") from None
 
 
 def network_of(path: Path) -> str:

@@ -41,9 +41,7 @@ def _diagnose() -> Iterator[Finding]:
     yield _checked("packages", "required", lambda: _complete(""))
     for extra in sorted({*metadata.metadata(DISTRIBUTION).get_all("Provides-Extra", [])} - {"dev", "docs", "test"}):
         yield _checked("extras", extra, partial(_complete, extra), "absent")
-    for task in ("easy_delivery", "medium_delivery", "hard_delivery"):
-        yield _checked("networks", task, partial(_network, "pathqnet", task))
-    for name in ("ppo", "tournet"):
+    for name in ("pathqnet", "ppo", "tournet"):
         yield _checked("networks", name, partial(_network, name, "easy"))
     for name, find in {"data": data_folder, "results": partial(data_folder, "results")}.items():
         yield _checked("folders", name, partial(_writable, find))

@@ -12,7 +12,7 @@ from drone_env.errors import InvalidValueError, needs
 from drone_env.files import write_text
 from drone_env.results.statistics import iqm_interval
 from drone_env.results.tables import Table, latex, markdown, print_table
-from drone_env.results.training import SCORE, Group, group_curves, read_runs
+from drone_env.results.training import Group, group_curves, read_runs
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -20,10 +20,6 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 STYLE: Any = {"font.size": 8, "pdf.fonttype": 42, "svg.hashsalt": "drone-env"}
 """Journals refuse fonts of PDF's Type 3; the salt makes the names in an SVG the same each time."""
 HEAD = ("task", "algorithm", "seeds", "IQM", "95 % interval")
-COLUMNS = 3
-"""Panels side by side."""
-FAR = 10
-"""Factor between the lengths of two curves from which the axis is logarithmic."""
 
 
 def plot(folders: Folders, x: str = "cpu_seconds", out: Path = Path("plots")) -> None:
@@ -68,7 +64,7 @@ def _rows(groups: Sequence[Group]) -> Iterator[tuple[str, ...]]:
     for label in dict.fromkeys(group.label for group in groups):
         over = [group for group in groups if group.label == label]
         even = len({len(group.curves) for group in over}) == 1 and len(over) == len(tasks) > 1
-        rows += [(f"all {len(tasks)}", label, over)] if even and not any(SCORE in task for task in tasks) else []
+        rows += [(f"all {len(tasks)}", label, over)] if even else []
     for task, label, over in rows:
         mean, low, high = (end.item() for end in iqm_interval([group.finals for group in over]))
         interval = "-" if math.isnan(low) else f"[{low:.4f}, {high:.4f}]"
@@ -80,7 +76,7 @@ def _draw(groups: Sequence[Group], file: Path, draw: Callable[[Any, Group, str, 
     from matplotlib.figure import Figure
 
     tasks, labels = (list(dict.fromkeys(getattr(group, name) for group in groups)) for name in ("task", "label"))
-    wide = min(len(tasks), COLUMNS)
+    wide = min(len(tasks), 3)
     rows = -(-len(tasks) // wide)
     figure: Any = Figure(figsize=(2.2 * wide + 0.6, 1.7 * rows + 0.5), layout="constrained")
     panels = {task: figure.add_subplot(rows, wide, n, title=task) for n, task in enumerate(tasks, 1)}
@@ -100,8 +96,6 @@ def _draw_curve(axes: Any, group: Group, colour: str, x: str) -> None:
     axes.plot(values, mean, color=colour, label=group.label, linewidth=1)
     axes.fill_between(values, low, high, color=colour, alpha=0.2, linewidth=0)
     axes.set(xlabel=x.replace("cpu_", "CPU ").replace("_", " "), ylabel="share of the optimum")
-    ends = [line.get_xdata()[-1] for line in axes.lines]
-    axes.set_xscale("log" if max(ends) > FAR * min(ends) else "linear")
 
 
 def _draw_score(axes: Any, group: Group, colour: str, place: int) -> None:

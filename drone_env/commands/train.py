@@ -14,14 +14,13 @@ from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError, UnknownNameError, needs
-from drone_env.files import data_folder, read_file
+from drone_env.files import data_folder
 from drone_env.rl.config import PpoConfig, TourConfig, TrainConfig, check_value, ppo_preset, preset
 from drone_env.toml_text import parse_toml
 
 AlgorithmName = Literal["dqn", "ppo", "tournet"]
 AGENTS = {"dqn": "pathqnet", "ppo": "ppo", "tournet": "tournet"}
 """The agent that flies by a trained network, by algorithm."""
-MAX_FILE = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def expand_config(arguments: Sequence[str]) -> list[str]:
         return list(arguments)
     options: list[str] = []
     try:
-        table = parse_toml(read_file(given.config, MAX_FILE))
+        table = parse_toml(Path(given.config).read_bytes())
         algorithm = given.algorithm or table.get("algorithm", "dqn")
         if algorithm not in tuple(SETTINGS):
             raise UnknownNameError("algorithm", algorithm, SETTINGS)

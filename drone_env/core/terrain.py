@@ -149,13 +149,6 @@ def shipped_terrain(name: str) -> Terrain:
     return Terrain(cells, len(rows[0]), None, (), attribution, cell, tuple(Name(*name) for name in names))
 
 
-def terrain_text(terrain: Terrain) -> str:
-    """The text of a file of `cities`."""
-    letters = {kind: chr(letter) for letter, kind in LETTERS.items()}
-    about = json.dumps([terrain.attribution, terrain.cell, terrain.names], ensure_ascii=False)
-    return "\n".join([about, *("".join(map(letters.__getitem__, row)) for row in terrain.grid().tolist()), ""])
-
-
 def _along(area: tuple[int, int], side: int) -> range:
     """The first cells of windows: a quarter of a side apart, or more to limit their number."""
     first, last = area[0], area[1] - side

@@ -24,8 +24,6 @@ NO_TASKS = ("validation_optimum", "validation_sampled")
 """Columns that begin like those of single tasks."""
 SAME_RUN = ("num_threads", "checkpoint_seconds", "checkpoint_episodes")
 """Settings in which the runs of a group may differ, beside the seed."""
-SCORE = " (score)"
-"""Ends the name of a task whose optimum is unknown: its values are scores."""
 POINTS = 200
 """Maximum number of points of a curve."""
 
@@ -83,7 +81,6 @@ def read_runs(folders: Iterable[Path]) -> tuple[list[Curve], list[str]]:
     curves, left_out = list[Curve](), list[str]()
     for folder in folders:
         runs = sorted(file.parent for file in folder.rglob("config.toml"))
-        left_out += [] if runs else [f"{folder}: no config.toml in it"]
         for run in runs:
             try:
                 curves += _read_run(run)
@@ -110,11 +107,10 @@ def _read_run(folder: Path) -> list[Curve]:
         raise InvalidValueError(f"unfinished: {done:,} of {total:,} {unit.removesuffix('s')}s")
     tasks = [name for name in columns if name.startswith(PREFIX) and name not in NO_TASKS]
     ratios = {name.removeprefix(PREFIX): columns[name] for name in tasks}
-    optimum = columns["validation_optimum"]
-    if not tasks and np.isnan(optimum).any():
-        ratios = {f"{task}{SCORE}": columns["validation"]}
-    elif not tasks:
-        ratios = {task: columns["validation"] / optimum}
+    if not tasks:
+        if np.isnan(columns["validation_optimum"]).any():
+            raise InvalidValueError("the optimum is not known")
+        ratios = {task: columns["validation"] / columns["validation_optimum"]}
     return [Curve(algorithm, name, seed, settings, columns, ratio) for name, ratio in ratios.items()]
 
 

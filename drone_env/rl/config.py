@@ -295,8 +295,7 @@ PPO_STEPS = {
     "skyline_easy": 2_000_000,
     "rush_easy": 1_000_000,
 }
-"""Number of steps of PPO by task; other tasks take `MORE_STEPS`."""
-MORE_STEPS = 1_000_000
+"""Number of steps of PPO by task; other tasks take a million."""
 UNSHIELDED = ("skyline_easy", "rush_easy", "rush_medium", "rush_hard")
 """Tasks with pads on which PPO ends higher without `shield`."""
 
@@ -304,7 +303,7 @@ UNSHIELDED = ("skyline_easy", "rush_easy", "rush_medium", "rush_hard")
 def ppo_preset(task: str) -> PpoConfig:
     """The settings of PPO for a task."""
     known = get_task(task)
-    steps, hidden = PPO_STEPS.get(known.id, MORE_STEPS), 128 if known.pads else 64
+    steps, hidden = PPO_STEPS.get(known.id, 1_000_000), 128 if known.pads else 64
     return PpoConfig(task=task, steps=steps, hidden=hidden, shield=known.pads > 0 and known.id not in UNSHIELDED)
 
 

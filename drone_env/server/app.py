@@ -98,18 +98,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.socket = socket
     install(app)
     app.add_middleware(Security, settings=settings, log=app_state.requests, first=partial(answer_step, app_state))
-    for routes in (
-        flight,
-        flights,
-        catalogue,
-        history,
-        compare,
-        replay,
-        maps,
-        page,
-        openenv,
-        mcp,
-    ):
+    for routes in (flight, flights, catalogue, history, compare, replay, maps, page, openenv, mcp):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.mount("/static", StaticFiles(directory=PAGE, packages=[("drone_env.envs", ART.name)]))

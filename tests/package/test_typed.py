@@ -34,7 +34,7 @@ def test_the_first_training_reads_as_one_that_learns(tmp_path: Path) -> None:
     logged = (tmp_path / "data" / "train.log").read_text()
     assert "nan" not in logged + said
     lines = [dict(part.split("=") for part in line.split()) for line in logged.splitlines()]
-    assert [int(line["episode"]) for line in lines] == list(range(20, 501, 20))
+    assert (len(lines), lines[-1]["episode"]) == (25, "500")
     for figure in ("score", "success", "reward"):
         first, last = (sum(float(line[figure]) for line in part) / 8 for part in (lines[:8], lines[-8:]))
         assert last > first + 0.15

@@ -31,7 +31,7 @@ def diagnosis(capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, list[s
 def test_a_sound_machine(capsys: pytest.CaptureFixture[str], empty_folder: Path) -> None:
     status, found = diagnosis(capsys)
     assert status == 0
-    for name in ("python", "required", "easy_delivery", "hard_delivery", "ppo", "tournet", "data", "cache"):
+    for name in ("python", "required", "pathqnet", "ppo", "tournet", "data", "cache"):
         assert found[name][0] == "ok", found[name]
     assert found["data"][1] == str(empty_folder / "data")
     assert list(empty_folder.iterdir()) == []
@@ -44,7 +44,7 @@ def test_what_is_broken(
     shutil.copytree(WEIGHTS, weights)
     monkeypatch.setattr("drone_env.agents.pathqnet.WEIGHTS", weights)
     monkeypatch.setattr("drone_env.agents.tournet.SHIPPED", tmp_path / "gone.safetensors")
-    file = weights / "medium_delivery_v1.safetensors"
+    file = weights / "easy_delivery_v1.safetensors"
     file.write_bytes(file.read_bytes()[:100_000])
     (empty_folder / "file").write_text("")
     monkeypatch.setenv("DRONE_ENV_DATA", "file/data")
@@ -53,7 +53,7 @@ def test_what_is_broken(
     monkeypatch.setenv("DRONE_ENV_PLUGINS", "half_a_plugin,tests.toy")
     ended, found = diagnosis(capsys)
     broken = {name: detail for name, (status, detail) in found.items() if status == "broken"}
-    assert (ended, set(broken)) == (1, {"medium_delivery", "tournet", "data", "results", "half_a_plugin"})
+    assert (ended, set(broken)) == (1, {"pathqnet", "tournet", "data", "results", "half_a_plugin"})
     assert "gone.safetensors" in broken["tournet"]
     assert "division by zero" in broken["half_a_plugin"]
 

@@ -11,9 +11,9 @@ from drone_env.core.grid_generator import generate_city_map
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tables import tabulate
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.core.terrain import Terrain, terrain_text
+from drone_env.core.terrain import Terrain
 from drone_env.errors import InvalidTaskError
-from tools.city_data import FOLDER, city_data
+from tools.city_data import FOLDER, city_data, terrain_text
 
 R, B, T, X, P = (int(kind) for kind in (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.PAD))
 # The last column lies behind obstacles.

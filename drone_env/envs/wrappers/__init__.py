@@ -44,11 +44,7 @@ class WithOptimum(gymnasium.Wrapper[Observation, int, Observation, int], gymnasi
         best = self._optimum[1]
         if best is None:
             return info
-        return info | {
-            "optimal_score": best.score,
-            "optimal_steps": best.steps,
-            "regret": best.score - info["score"],
-        }
+        return info | {"optimal_score": best.score, "optimal_steps": best.steps, "regret": best.score - info["score"]}
 
 
 def make(**options: Any) -> WithOptimum:
