@@ -33,11 +33,11 @@ BUILTIN_PILOTS: dict[str, Pilot] = {
     NETWORK: Pilot(
         "PathQNet", "The network that is shipped: sees the map, takes the action of the highest value.", "pathqnet"
     ),
-    "ppo": Pilot(
-        "PPO", "A policy that is shipped: sees the way to each parcel and pad, and learned from rewards.", "ppo"
-    ),
     "tournet": Pilot(
         "Tournet", "A network that plans: chooses the parcel or pad to fly to next, and by which way.", "tournet"
+    ),
+    "ppo": Pilot(
+        "PPO", "A policy that is shipped: sees the way to each parcel and pad, and learned from rewards.", "ppo"
     ),
     "greedy": Pilot("Greedy", "Flies to the nearest parcel, whatever its battery."),
     "nearest": Pilot(
