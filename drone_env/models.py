@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema
 from pydantic_core import to_json
 from typing_extensions import Self
 
@@ -29,7 +29,8 @@ GroundName = Literal["road", "building", "tree", "obstacle", "delivery", "delive
 EventName = Literal["delivery", "battery_dead", "wall", "blocked", "obstacle", "building", "tree", "wait", "step"]
 OutcomeName = Literal["flying", "delivered", "battery_dead", "out_of_steps"]
 Score = Annotated[float, Field(ge=0.01, le=0.99)]
-Position = Annotated[tuple[Count, Count], Field(strict=False)]
+PAIR = {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2, "maxItems": 2}
+Position = Annotated[tuple[Count, Count], Field(strict=False), WithJsonSchema(PAIR)]
 
 LEGEND: dict[str, str] = {
     kind.emoji: f"{kind.name}: {kind.effect}" for cell, kind in CELL_KINDS.items() if cell is not Cell.UNKNOWN

@@ -63,7 +63,7 @@ def episode_from_fields(
     return episode
 
 
-def episode_of(task: TaskConfig, observation: Observation) -> Episode:
+def episode_of(task: TaskConfig, observation: Observation, reward_profile: str = "score") -> Episode:
     """Create an episode with this observation. Its seed is 0, its parcels are in reading order.
 
     Raises:
@@ -76,7 +76,8 @@ def episode_of(task: TaskConfig, observation: Observation) -> Episode:
     parcels = [(cell, delivered) for kind, delivered in kinds for cell in np.flatnonzero(ground == kind).tolist()]
     if len(parcels) != task.deliveries:
         raise InvalidValueError(f"an observation shows {len(parcels)} parcels; {task.id!r} has {task.deliveries}")
-    return episode_from_fields(task, ground, int(drone), int(battery), task.max_steps - int(left), parcels)
+    steps = task.max_steps - int(left)
+    return episode_from_fields(task, ground, int(drone), int(battery), steps, parcels, reward_profile)
 
 
 def read_observations(
