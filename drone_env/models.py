@@ -30,6 +30,7 @@ EventName = Literal["delivery", "battery_dead", "wall", "blocked", "obstacle", "
 OutcomeName = Literal["flying", "delivered", "battery_dead", "out_of_steps"]
 Score = Annotated[float, Field(ge=0.01, le=0.99)]
 PAIR = {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2, "maxItems": 2}
+"""The JSON schema of a position. Some readers of schemas misread `prefixItems`, which Pydantic writes for a tuple."""
 Position = Annotated[tuple[Count, Count], Field(strict=False), WithJsonSchema(PAIR)]
 
 LEGEND: dict[str, str] = {

@@ -28,7 +28,7 @@ from tests.tools import PATIENCE, missing_in, missing_package
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 # The tests run side by side: threads that wait for each other must not spin on cores that others need.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-# What is imported and collected stays: to look through it for garbage, again and again, takes a fifth of the time.
+# Imported and collected objects stay. The search for garbage among them takes a fifth of the time.
 gc.disable()
 
 

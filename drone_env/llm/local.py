@@ -180,8 +180,8 @@ def read_shared(model: Any, requests: Sequence[Sequence[int]]) -> tuple[int, dic
         requests: The tokens of each request.
 
     Returns:
-        How many tokens they are, and the argument with which the model goes on for all requests after them. They are 0
-        for one request, and for models some of whose layers do not see all earlier tokens.
+        The number of these tokens, and the argument with which the model continues all requests. The number is 0 for
+        one request, and for a model with layers that do not see all earlier tokens.
     """
     places = zip(*(tokens[:-1] for tokens in requests), strict=False)
     shared = sum(1 for _ in takewhile(lambda tokens: len(set(tokens)) == 1, places))
