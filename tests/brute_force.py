@@ -1,40 +1,31 @@
 """What can be made of every state, by trying everything: it knows nothing but the dynamics and the score."""
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core import compiled, rules
 from drone_env.core.actions import N_ACTIONS
+from drone_env.core.batch import Batch
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, DRONE_CELL
-from drone_env.core.compile_cache import compiled_once
 from drone_env.core.episode import Episode, EpisodeState
-from drone_env.core.rewards import get_reward_profile, tabulate_rewards
-from drone_env.core.tables import (
-    BATTERY,
-    CELL,
-    DELIVERED_FLAG,
-    DELIVERIES_DONE,
-    OUTCOME,
-    PARCELS,
-    STEPS,
-    UNDER,
-    tabulate,
-)
+from drone_env.core.tables import BATTERY, CELL, DELIVERED_FLAG, DELIVERIES_DONE, OUTCOME, PARCELS, STEPS, UNDER
+from drone_env.core.tasks import TaskConfig
+
+Array: TypeAlias = npt.NDArray[Any]
 
 
-@compiled_once()
-def fly_every_action(
-    tables: Any, rewards: Any, grids: Any, states: Any, next_grids: Any, next_states: Any, scores: Any
-) -> None:
-    """Fly all five actions from each of N states into 5 N states."""
-    for k in range(len(next_states)):
-        next_grids[k] = grids[k // N_ACTIONS]
-        next_states[k] = states[k // N_ACTIONS]
-        compiled.step(tables, rewards, next_grids[k], next_states[k], k % N_ACTIONS)
-        scores[k] = rules.score(tables, next_states[k])
+def fly_every_action(task: TaskConfig, grids: Array, states: Array) -> tuple[Array, Array, Array]:
+    """Fly all five actions from each of N states: 5 N grids and states, and the scores of those that have ended."""
+    batch = Batch(task, N_ACTIONS * len(states), "score")
+    buffers = batch._buffers
+    buffers.grids[:], buffers.states[:] = (np.repeat(rows, N_ACTIONS, axis=0) for rows in (grids, states))
+    batch.started = True
+    batch.step(np.tile(np.arange(N_ACTIONS), len(states)))
+    scores = np.zeros(batch.num_envs)
+    scores[batch.ended] = batch.finals()["score"]
+    return buffers.grids, buffers.states, scores
 
 
 def best_score(start: Episode) -> float:
@@ -44,7 +35,6 @@ def best_score(start: Episode) -> float:
     enough to know the most units at each step, delivered set and cell.
     """
     task, parcels = start.task, [y * start.task.width + x for x, y, _ in start.parcels]
-    tables, rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
     bits = 1 << np.arange(len(parcels))
     done = np.arange(1 << len(parcels))[:, None] & bits > 0
     ground = start.grid().ravel()
@@ -59,12 +49,13 @@ def best_score(start: Episode) -> float:
     best = 0.0
     for steps in range(task.max_steps):
         delivered, cells = np.nonzero(most)
+        if not len(cells):
+            break
         now, seen, rows = states[delivered], grids[delivered], np.arange(len(cells))
         now[:, CELL], now[:, UNDER] = cells, seen[rows, cells]
         now[:, STEPS], now[:, BATTERY] = steps, most[delivered, cells]
         seen[rows, cells] = DRONE_CELL
-        flown, scores = np.zeros((N_ACTIONS * len(now), now.shape[1]), np.uint16), np.zeros(N_ACTIONS * len(now))
-        fly_every_action(tables, rewards, seen, now, np.zeros((len(flown), len(ground)), np.uint8), flown, scores)
+        _, flown, scores = fly_every_action(task, seen, now)
         flying = flown[:, OUTCOME] == 0
         best = max(best, scores[~flying].max(initial=0.0))
         flown = flown[flying]
@@ -83,22 +74,15 @@ class BruteForce:
         assert not episode.ended
         self._start = episode.get_state()
         self._first_step = episode.steps
-        task = episode.task
-        tables, rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
-        # Copies: for arrays that cannot be written, the kernel would be compiled once more.
-        grids = np.frombuffer(self._start.grid, np.uint8)[None].copy()
-        states = np.frombuffer(self._start.numbers, np.uint16)[None].copy()
+        grids = np.frombuffer(self._start.grid, np.uint8)[None]
+        states = np.frombuffer(self._start.numbers, np.uint16)[None]
         self._numbers: list[dict[bytes, int]] = [{self._start.numbers: 0}]
         self._grids, self._states = [grids], [states]
         flights = []
         while len(states):
-            n = N_ACTIONS * len(states)
-            next_grids = np.zeros((n, grids.shape[1]), np.uint8)
-            next_states = np.zeros((n, states.shape[1]), np.uint16)
-            scores = np.zeros(n)
-            fly_every_action(tables, rewards, grids, states, next_grids, next_states, scores)
-            flying = next_states[:, OUTCOME] == 0
-            states, grids = next_states[flying], next_grids[flying]
+            grids, states, scores = fly_every_action(episode.task, grids, states)
+            flying = states[:, OUTCOME] == 0
+            states, grids = states[flying], grids[flying]
             numbers: dict[bytes, int] = {}
             which = np.array([numbers.setdefault(state.tobytes(), len(numbers)) for state in states], np.int64)
             _, first = np.unique(which, return_index=True)
