@@ -28,6 +28,8 @@ from tests.tools import PATIENCE, missing_in, missing_package
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 # The tests run side by side: threads that wait for each other must not spin on cores that others need.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+BROWSER_TESTS = 40
+"""At most so many tests share a browser: more take longer than all other tests of a worker."""
 # Imported and collected objects stay. The search for garbage among them takes a fifth of the time.
 gc.disable()
 
@@ -81,6 +83,27 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             first.setdefault(item.nodeid.partition("[")[0], item)
         items[:] = first.values()
+    side_by_side(items, int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+
+
+def side_by_side(items: list[pytest.Item], workers: int) -> None:
+    """Put the tests of the browser, the slowest ones, to where workers begin: nobody waits for the last of them.
+
+    Each worker begins with an equal share of all tests, and then takes from the ends of the others' shares: so no more
+    workers start a browser than begin with one.
+    """
+    slow = [item for item in items if item.path.parent.name == "browser"]
+    browsers = min(workers - 1, -(-len(slow) // BROWSER_TESTS))
+    if browsers < 1:
+        return
+    others = [item for item in items if item.path.parent.name != "browser"]
+    share, each = len(items) // workers, -(-len(slow) // browsers)
+    items.clear()
+    for start in range(0, len(slow), each):
+        first = slow[start : start + each]
+        items += first + others[: share - len(first)]
+        del others[: share - len(first)]
+    items += others
 
 
 def pytest_collection_finish() -> None:
