@@ -97,7 +97,8 @@ docs: $(VENV)/.dev
 # can change: imports, what is read, written, printed, compiled and served, and the golden hashes. The rest is built on that.
 # In one process: a second one would import and compile what the first one does.
 PYTHONS := python-lowest python-highest
-ANY_PYTHON := test_env.py test_api.py parity contract/test_gymnasium.py contract/test_openenv.py \
+ANY_PYTHON := test_env.py test_api.py parity contract/test_gymnasium.py \
+    contract/test_openenv.py::test_the_official_client_flies_synchronously \
     $(addprefix api/test_,golden_output.py socket.py starting.py) $(addprefix llm/test_,endpoint.py failures.py settings.py) \
     $(patsubst %,unit/test_%.py,city_file cli cli_records compile_cache doctor errors files graders imports maps \
     provenance public_names record registry reward_files rewards rules sessions store tables tasks)
