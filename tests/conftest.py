@@ -28,8 +28,6 @@ from tests.tools import PATIENCE, missing_in, missing_package
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 # The tests run side by side: threads that wait for each other must not spin on cores that others need.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-BROWSER_TESTS = 40
-"""At most so many tests share a browser: more take longer than all other tests of a worker."""
 # Imported and collected objects stay. The search for garbage among them takes a fifth of the time.
 gc.disable()
 
@@ -87,23 +85,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def side_by_side(items: list[pytest.Item], workers: int) -> None:
-    """Put the tests of the browser, the slowest ones, to where workers begin: nobody waits for the last of them.
+    """Put the slowest tests, those of the browser, where two workers begin: nobody waits for the last of them.
 
-    Each worker begins with an equal share of all tests, and then takes from the ends of the others' shares: so no more
-    workers start a browser than begin with one.
+    Workers begin with equal shares, and then take from the ends of other shares: so only these two start a browser.
     """
     slow = [item for item in items if item.path.parent.name == "browser"]
-    browsers = min(workers - 1, -(-len(slow) // BROWSER_TESTS))
-    if browsers < 1:
-        return
     others = [item for item in items if item.path.parent.name != "browser"]
-    share, each = len(items) // workers, -(-len(slow) // browsers)
-    items.clear()
-    for start in range(0, len(slow), each):
-        first = slow[start : start + each]
-        items += first + others[: share - len(first)]
-        del others[: share - len(first)]
-    items += others
+    first = len(slow) // 2 if workers > 2 else len(slow)
+    rest = len(items) // workers - first
+    if workers > 1:
+        items[:] = slow[:first] + others[:rest] + slow[first:] + others[rest:]
 
 
 def pytest_collection_finish() -> None:

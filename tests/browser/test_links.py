@@ -218,8 +218,6 @@ def test_the_address_of_a_flight_of_ones_own_contains_its_moves(beside: Callable
     expect_flying(page, "You")
     keys(page, *[" "] * 2)
     expect(page).to_have_url(re.compile("actions=WW$"))
-    page.reload()
-    expect_step(page, 2, 60, "WAIT")
     # Two entries differ by their moves alone.
     page.evaluate("history.go(-2)")
     expect_step(page, 1, 60, "WAIT")
