@@ -67,11 +67,6 @@ class DroneAction(StrictModel):
 
     direction: Direction = Field(description="Where to fly: UP is y - 1, DOWN y + 1, LEFT x - 1, RIGHT x + 1.")
 
-    @property
-    def action(self) -> Action:
-        """The number of the action."""
-        return Action[self.direction]
-
 
 class DroneObservation(StrictModel):
     """The observation after a reset or a step."""

@@ -44,8 +44,7 @@ uvicorn() {
   [[ -x $VENV/uvicorn/bin/python ]] || $python -m venv "$VENV/uvicorn"
   "$VENV/bin/uv" pip install --quiet --upgrade --python "$VENV/uvicorn/bin/python" --override <(echo 'uvicorn[standard]') \
     --editable '.[server]' 'pytest>=8.3' 'pytest-timeout>=2.3'
-  "$VENV/uvicorn/bin/python" -m pytest tests/api/test_connections.py tests/api/test_frames.py \
-    tests/api/test_stalled_readers.py tests/api/test_workers.py
+  "$VENV/uvicorn/bin/python" -m pytest tests/api/test_stalled_readers.py tests/api/test_workers.py
 }
 
 # verifiers fits no environment with the other adapters, and only an older OpenEnv; the server needs none.

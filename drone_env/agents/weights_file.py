@@ -119,13 +119,15 @@ def read_weights(path: Path, network: str) -> Weights:
 
 
 def local_file(path: Path) -> Path:
-    """Return the file of a network: the path, or the download of `USER/NAME`.
+    """Return the file of a network: the path, the one in a folder for the Hub, or the download of `USER/NAME`.
 
     Raises:
         MissingPackageError: if it is to be downloaded, and the client of the Hub is not installed.
         CheckpointError: if it is not on the Hub, or the Hub cannot be reached.
     """
     name = path.as_posix()
+    if path.is_dir():
+        return path / HUB_FILE
     if path.exists() or path.suffix == ".safetensors" or not HUB_NAME.fullmatch(name):
         return path
     with needs("hub"):

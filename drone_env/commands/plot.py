@@ -77,8 +77,8 @@ def _draw(groups: Sequence[Group], file: Path, draw: Callable[[Any, Group, str, 
 
     tasks, labels = (list(dict.fromkeys(getattr(group, name) for group in groups)) for name in ("task", "label"))
     wide = min(len(tasks), 3)
-    rows = -(-len(tasks) // wide)
-    figure: Any = Figure(figsize=(2.2 * wide + 0.6, 1.7 * rows + 0.5), layout="constrained")
+    rows, lines = -(-len(tasks) // wide), -(-len(labels) // wide)
+    figure: Any = Figure(figsize=(2.2 * wide + 0.6, 1.7 * rows + 0.2 * lines + 0.3), layout="constrained")
     panels = {task: figure.add_subplot(rows, wide, n, title=task) for n, task in enumerate(tasks, 1)}
     handles: dict[str, Any] = {}
     for group in groups:
@@ -86,7 +86,7 @@ def _draw(groups: Sequence[Group], file: Path, draw: Callable[[Any, Group, str, 
         axes.grid(alpha=0.3)
         draw(axes, group, COLOURS[place % len(COLOURS)], place)
         handles[group.label] = axes.get_legend_handles_labels()[0][-1]
-    figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=wide, frameon=False)
     for kind, undated in ((".pdf", "CreationDate"), (".svg", "Date")):
         figure.savefig(file.with_suffix(kind), metadata={undated: None})
 

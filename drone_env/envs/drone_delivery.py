@@ -72,7 +72,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
 
         Args:
             seed: In [0, 2^53). If the first reset has no seed, it draws a train map at random.
-            options: There are none.
+            options: There are none. A city file or a task of your own has another start, parcels or battery.
 
         Raises:
             InvalidValueError: if the seed is out of range, or there are options.

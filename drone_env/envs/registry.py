@@ -24,6 +24,7 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import InvalidTaskError, InvalidValueError
 
 PLUGINS = "DRONE_ENV_PLUGINS"
+MIXTURE = "DroneDelivery-Mixture-v1"
 FILES: dict[tuple[str, str], str] = {}
 """The files of registered cities and reward profiles as the caller named them, by the setting and the id."""
 
@@ -41,7 +42,9 @@ class StepLimit(int):
 
 
 def register_envs() -> None:
-    """Register all tasks with Gymnasium, such as `DroneDelivery-Easy-v1`."""
+    """Register all tasks with Gymnasium, such as `DroneDelivery-Easy-v1`, and their mixture."""
+    if MIXTURE not in gymnasium.registry:
+        gymnasium.register(id=MIXTURE, entry_point="drone_env.envs.mixture:MixtureEnv")
     for task in TASKS.values():
         if task.gym_id not in gymnasium.registry:
             gymnasium.register(

@@ -1,4 +1,4 @@
-"""The server process: uvicorn's configuration, the listening socket, the connection limit."""
+"""The server process: uvicorn's configuration, and the listening socket."""
 
 import asyncio
 import logging
@@ -17,14 +17,6 @@ from drone_env.errors import InvalidValueError
 from drone_env.flights.store import Store
 from drone_env.server.json_bodies import LARGEST_BODY
 from drone_env.server.settings import load_settings
-
-if sys.platform != "win32":
-    import resource
-
-CONNECTIONS = 1000
-"""Connections of a process, in addition to one per session."""
-OTHER_FILES = 128
-"""Open files that are not connections: the store, logs, files of requests."""
 
 
 def is_news(record: logging.LogRecord) -> bool:
@@ -77,8 +69,7 @@ def run(
         print(f"drone-env {__version__}: {url}, docs at {url}/docs, files in {folder}", file=sys.stderr, flush=True)
         config = uvicorn.Config(
             "drone_env.server.app:app",
-            http="drone_env.server.protocols:Http",
-            ws="drone_env.server.protocols:WebSockets",
+            ws="websockets-sansio",
             workers=settings.workers,
             log_config=None,
             access_log=False,
@@ -87,7 +78,6 @@ def run(
             ws_max_size=LARGEST_BODY,
             ws_per_message_deflate=False,
             ws_ping_timeout=max(settings.idle_seconds, 60.0),  # longer than two pings
-            limit_concurrency=most_connections(CONNECTIONS + settings.capacity),
             timeout_graceful_shutdown=5,
             timeout_keep_alive=75,  # the default of 5 s closes connections of agents that compute for longer
             timeout_worker_healthcheck=60,  # time for a process to start at SIGHUP; the default of 5 s can be too short
@@ -138,14 +128,6 @@ def listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         message = f"cannot listen on {host}: {error.strerror}; --host and --port choose another address"
         raise InvalidValueError(message) from None
-
-
-def most_connections(target: int) -> int:
-    """Return the connection limit of this process: the target, or fewer if the limit of open files requires it."""
-    if sys.platform == "win32":
-        return target
-    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    return target if files == resource.RLIM_INFINITY else min(target, max(files - OTHER_FILES, files // 2))
 
 
 def end_with_parent() -> None:

@@ -14,8 +14,8 @@ from gymnasium.utils.env_checker import check_env
 
 from drone_env.core.tasks import TASKS
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
-from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
-from drone_env.errors import InvalidValueError
+from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, StopObservation
+from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.planning.optimal import solve
 
 IDS = [f"drone_env:{task.gym_id}" for task in TASKS.values()]
@@ -155,3 +155,40 @@ def test_the_flat_observation_holds_planes_and_telemetry() -> None:
     assert flat.shape == (9 * 100 + 5,)
     assert np.array_equal(flat[:900].reshape(9, 10, 10).argmax(axis=0), observation["grid"])
     assert np.array_equal(flat[900:], observation["telemetry"])
+
+
+MIXTURE = "drone_env:DroneDelivery-Mixture-v1"
+MIXED = ["easy", "skyline_easy", "rush_easy"]
+
+
+@pytest.mark.parametrize(("stops", "numbers"), [(False, "telemetry"), (True, "features")])
+def test_a_mixture_pads_the_observations_of_its_tasks(stops: bool, numbers: str) -> None:
+    env = make(MIXTURE, tasks=MIXED, stops=stops)
+    check_env(env.unwrapped)
+    for number, task in enumerate(MIXED):
+        observation, info = env.reset(seed=7, options={"task": task})
+        plain = DroneDeliveryEnv(task)
+        given = (StopObservation(plain) if stops else plain).reset(seed=7)[0]
+        assert info["task"] == env.step(4)[4]["task"] == plain.task.id
+        assert env.observation_space.contains(observation)
+        for name, values in given.items():
+            expected = np.full(env.observation_space[name].shape, 9 if name == "grid" else 0, values.dtype)
+            expected[tuple(map(slice, values.shape))] = values
+            if name == numbers:
+                expected[number - len(MIXED)] = 1
+            assert np.array_equal(observation[name], expected)
+
+
+def test_a_mixture_draws_tasks_and_maps_from_its_seed() -> None:
+    env, again = make(MIXTURE, tasks=MIXED), FlatObservation(make(MIXTURE, tasks=MIXED))
+    drawn = [
+        [(info["task"], info["seed"]) for info in (one.reset(seed=seed)[1] for seed in (5, *[None] * 20))]
+        for one in (env, again)
+    ]
+    assert drawn[0] == drawn[1]
+    assert drawn[0][0][1] == 5
+    assert (len({task for task, _ in drawn[0]}), len({seed for _, seed in drawn[0]})) == (3, 21)
+    with pytest.raises(UnknownNameError, match="rush_easy"):
+        env.reset(options={"task": "hard"})
+    with pytest.raises(InvalidValueError, match="no options"):
+        env.reset(options={"map": 1})

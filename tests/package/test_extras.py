@@ -20,6 +20,7 @@ PROJECT = parse_toml((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["pro
 
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env": (),
+    "drone_env.agents.hub": ("hub",),
     "drone_env.client": ("server",),
     "drone_env.cluster": ("cluster",),
     "drone_env.datasets": ("data",),

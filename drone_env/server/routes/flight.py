@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from typing_extensions import Self
 
 from drone_env.agents.pathqnet import PathQNetAgent
+from drone_env.core.actions import Action
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError
 from drone_env.flights.sessions import Session, Sessions
@@ -241,7 +242,7 @@ async def _fly(app_state: AppState, caller: Caller, body: DroneAction, after: in
     session = caller.named or await run_in_threadpool(caller.session, sessions)
 
     def fly(flown: Session) -> bytes:
-        flown.fly(body.action, after)
+        flown.fly(Action[body.direction], after)
         return flat_json(flown.episode)
 
     stepped = await app_state.write(sessions.use, session, fly, caller.address)
