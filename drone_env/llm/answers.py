@@ -46,7 +46,7 @@ FINISH_REASONS: dict[FinishKind, set[str]] = {
 """Finish reasons of OpenAI's protocol, of the servers that imitate it, and of the vendors behind them."""
 
 KEYS = {
-    "answer",
+    *("answer", "letter"),
     *(name + end for name in ("action", "direction", "move", "route", "plan", "path", "stop") for end in ("", "s")),
 }
 ASIDES = {"reason", "reasoning", "rationale", "thought", "thoughts", "thinking", "explanation", "step"}

@@ -81,6 +81,12 @@ def test_marks_count_only_where_the_prompt_allows_them() -> None:
     assert unmarked.reason == "the answer is not one action, and has no line with ACTION:"
 
 
+@pytest.mark.parametrize("text", ["B", "b.", "Letter: B", "The letter is: B", "Next stop: **B**", '{"letter": "B"}'])
+def test_a_stop_is_read_in_every_spelling(text: str) -> None:
+    ways = {"A": [Action.UP], "B": [Action.RIGHT, Action.RIGHT]}
+    assert read_answer(Answer(text=text), False, (), ways).actions == (Action.RIGHT, Action.RIGHT)
+
+
 PARTS = ["up", ", ", "\n", " ", ".", "...", "2.", '"', "[", "]", "{", "}", '"move": ', "ACTION: "]
 FRAGMENTS = st.sampled_from([*Action.__members__, *SPELLINGS["action"], *PARTS])
 
