@@ -382,8 +382,8 @@ def paid_for(policy: Policy, kind: Reward, flight: TextEpisode, answers: Sequenc
 
     `score` is that of the flight if the model flies on. `regret` is at most 0: the highest score after this answer
     minus that after the best. `rank` is from 0, the worst answers in this state, to 1, the best; equal answers share a
-    rank. An unusable answer gets what the worst usable one gets, and 0 if all are unusable: a lower reward would
-    strengthen the other answers even where they are the same, and the model would stop exploring.
+    rank. An unusable answer gets 0.01 less than the worst one: much less would strengthen the other answers even where
+    they are the same, and the model would stop exploring.
     """
     ways = [flight.read(answer).actions for answer in answers]
     if kind == "score":
@@ -402,8 +402,8 @@ def paid_for(policy: Policy, kind: Reward, flight: TextEpisode, answers: Sequenc
         pays = {way: levels.index(round(pay, 12)) / max(1, len(levels) - 1) for way, pay in pays.items()}
     elif kind == "regret":
         pays = {way: round(pay, 12) - levels[-1] for way, pay in pays.items()}
-    worst = min((pays[way] for way in ways if way), default=0.0)
-    return [pays[way] if way else worst for way in ways]
+    worst = min(pays.values(), default=0.0)
+    return [pays[way] if way else worst - 0.01 for way in ways]
 
 
 class Maps:
