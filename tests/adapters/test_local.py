@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,39 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_stopped(folder: Path, tmp_path: 
         sum(run.episode.steps for run in flights),
     )
     assert report["config"]["model"] == "tiny"
+
+
+def test_answers_equal_those_of_transformers_serve(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from transformers import LlamaConfig, LlamaForCausalLM
+    from transformers.cli.serve import Serve
+
+    monkeypatch.setattr("drone_env.llm.local.best_dtype", lambda: "float32")
+    llama = tmp_path / "llama"  # of a Qwen 3, the server splits answers at marks that this tokenizer has not
+    shutil.copytree(folder, llama)
+    sizes = {"hidden_size": 32, "intermediate_size": 64, "num_hidden_layers": 2, "num_attention_heads": 4}
+    LlamaForCausalLM(LlamaConfig(vocab_size=len(WORDS), **sizes, eos_token_id=0)).save_pretrained(llama)
+    assert infer(llama, tmp_path / "local") == 0
+    serve = Serve(str(llama), host="127.0.0.1", port=0, device="cpu", dtype="float32", non_blocking=True)
+    try:
+        while not serve.server.started:
+            serve._thread.join(0.05)
+            assert serve._thread.is_alive()
+        port = serve.server.servers[0].sockets[0].getsockname()[1]
+        served = ("--base-url", f"http://127.0.0.1:{port}/v1", "--model", str(llama), "--concurrency", "1")
+        assert main(["infer", *served, "--out", str(tmp_path / "served"), *RUN]) == 0
+    finally:
+        serve.kill_server()
+    local, served = (
+        {
+            (call["flight"], call["turn"], call["attempt"]): call["answer"]["text"]
+            for call in json_lines(path / "calls.jsonl")
+        }
+        for path in (tmp_path / "local", tmp_path / "served")
+    )
+    assert local == served
+    assert len(set(local.values())) > 2
 
 
 def test_what_is_no_model_is_refused(
