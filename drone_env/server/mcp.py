@@ -68,13 +68,15 @@ class ToolError(Exception):
     """A call that failed; the session is as before.
 
     Args:
+        kind: OpenEnv's type of error.
         message: The message for people.
         code: The code of JSON-RPC.
         status: The HTTP status.
     """
 
-    def __init__(self, message: str, code: int = INVALID, status: int = 200) -> None:
+    def __init__(self, kind: str, message: str, code: int = INVALID, status: int = 200) -> None:
         super().__init__(message)
+        self.kind = kind
         self.code = code
         self.status = status
 
@@ -84,18 +86,19 @@ def _prompt() -> Prompt:
     return read_prompt(FOLDER / "tools" / "route-2.toml")
 
 
-async def call_tool(session: OpenEnvSession, name: str, arguments: object) -> dict[str, Any]:
+async def call_tool(session: OpenEnvSession, name: object, arguments: object) -> dict[str, Any]:
     """Call a tool.
 
     Returns:
-        A result in MCP's format, with `data` for OpenEnv's clients: `text` for the model, `reward` (null unless the
-        tool is `fly` or `goto`), `flown` steps, `done`, and `score`.
+        `text` for the model, `reward` (null unless the tool is `fly` or `goto`), `flown` steps, `done`, and `score`.
 
     Raises:
         ToolError: if the call is invalid or cannot be executed.
     """
+    if not isinstance(name, str) or name not in TOOLS:
+        raise ToolError("tool_not_found", f"there is no such tool; tools: {', '.join(TOOLS)}")
     if not isinstance(arguments, dict | None):
-        raise ToolError("arguments must be an object")
+        raise ToolError("invalid_args", "arguments must be an object")
     reward, flown = None, 0
     try:
         given = TOOLS[name][0].model_validate(arguments or {})
@@ -112,13 +115,28 @@ async def call_tool(session: OpenEnvSession, name: str, arguments: object) -> di
             # Reading the prompt loads Jinja, which takes 0.1 s.
             text = await asyncio.to_thread(lambda: full_text(_prompt(), episode))
     except ValidationError as error:
-        raise ToolError(text_of(error)) from None
+        raise ToolError("invalid_args", text_of(error)) from None
     except (LookupError, InvalidValueError) as error:
-        raise ToolError(str(error)) from None
+        raise ToolError("invalid_args", str(error)) from None
     except DroneEnvError as error:
-        raise ToolError(str(error), FAILED) from None
-    data = {"text": text, "reward": reward, "flown": flown, "done": episode.ended, "score": episode.score}
-    return {"content": [{"type": "text", "text": text}], "structuredContent": data, "data": data, "isError": False}
+        raise ToolError("execution_error", str(error), FAILED) from None
+    return {"text": text, "reward": reward, "flown": flown, "done": episode.ended, "score": episode.score}
+
+
+async def step_as_tool(session: OpenEnvSession, action: dict[str, Any]) -> dict[str, Any]:
+    """Execute OpenEnv's `ListToolsAction` or `CallToolAction` as a step, and return its result."""
+    if action["type"] == "list_tools":
+        return {"observation": {"tools": _listed("input_schema"), "metadata": {}}, "reward": None, "done": False}
+    name = action.get("tool_name")
+    observation: dict[str, Any] = {"tool_name": name if isinstance(name, str) else ""}
+    observation |= {"result": None, "error": None, "metadata": {}}
+    try:
+        data = await call_tool(session, name, action.get("arguments", {}))
+    except ToolError as error:
+        observation["error"] = {"error_type": error.kind, "message": str(error)}
+        return {"observation": observation, "reward": None, "done": False}
+    observation["result"] = _result(data)
+    return {"observation": observation, "reward": data["reward"], "done": data["done"]}
 
 
 # Some clients add a slash, and do not follow the redirect.
@@ -154,7 +172,7 @@ async def end_mcp(request: Request, app_state: AppStateDep) -> Response:
     try:
         named = await _named_session(app_state, request.headers)
         if named is None:
-            raise ToolError(f"{SESSION_HEADER} is missing", status=400)
+            raise ToolError("invalid_args", f"{SESSION_HEADER} is missing", status=400)
     except ToolError as error:
         return _refused({}, error)
     await asyncio.to_thread(app_state.sessions.end, named)
@@ -173,12 +191,12 @@ async def _named_session(app_state: AppState, headers: Headers) -> str | None:
     if version not in PROTOCOLS:
         # A modern code, such as -32022, would keep newer clients from falling back to `initialize`.
         message = f"{VERSION_HEADER} is one of {', '.join(PROTOCOLS)}, got {version[:100]!r}"
-        raise ToolError(message, INVALID_REQUEST, 400)
+        raise ToolError("invalid_request", message, INVALID_REQUEST, 400)
     if named is not None:
         try:
             await asyncio.to_thread(app_state.sessions.check, named)
         except NoSessionError as error:
-            raise ToolError(f"Session not found: {error}", NO_SESSION, 404) from None
+            raise ToolError("invalid_request", f"Session not found: {error}", NO_SESSION, 404) from None
     return named
 
 
@@ -195,43 +213,40 @@ async def _call(app_state: AppState, message: dict[str, Any], named: str | None,
     params: object = message.get("params") or {}
     if message.get("jsonrpc") != "2.0" or not isinstance(method, str):
         reason = 'Invalid Request: a request is one object with "jsonrpc": "2.0" and a method'
-        raise ToolError(reason, INVALID_REQUEST)
+        raise ToolError("invalid_request", reason, INVALID_REQUEST)
     if not isinstance(params, dict):
-        raise ToolError("params must be an object")
+        raise ToolError("invalid_args", "params must be an object")
     params = cast(dict[str, Any], params)
     if method == "ping":
         return {}
     if method == "tools/list":
-        listed = [(name, about, arguments.model_json_schema()) for name, (arguments, about) in TOOLS.items()]
-        return {"tools": [{"name": name, "description": about, "inputSchema": given} for name, about, given in listed]}
+        return {"tools": _listed("inputSchema")}
     try:
         if method in ("initialize", "openenv/session/create"):
             episode = start_episode(SessionReset(), None)
             opened = {"session_id": await asyncio.to_thread(app_state.sessions.open, episode, ANONYMOUS, owner=owner)}
             return opened | (_greeting(params.get("protocolVersion")) if method == "initialize" else {})
         if method not in ("tools/call", "openenv/session/close"):
-            raise ToolError(f"Method not found: {method[:100]}", NO_METHOD)
+            raise ToolError("invalid_request", f"Method not found: {method[:100]}", NO_METHOD)
         session_id = params.get("session_id", named)
         if not isinstance(session_id, str):
             reason = f"name a session: the {SESSION_HEADER} of initialize, or the session_id of openenv/session/create"
-            raise ToolError(reason, status=400)
+            raise ToolError("invalid_args", reason, status=400)
         if method == "openenv/session/close":
             await asyncio.to_thread(app_state.sessions.end, session_id)
             return {"session_id": session_id, "closed": True}
-        name = params.get("name")
-        if not isinstance(name, str) or name not in TOOLS:
-            raise ToolError(f"there is no such tool; tools: {', '.join(TOOLS)}")
+        session = OpenEnvSession(app_state, session_id)
         try:
-            return await call_tool(OpenEnvSession(app_state, session_id), name, params.get("arguments"))
+            return _result(await call_tool(session, params.get("name"), params.get("arguments")))
         except ToolError as error:
             # MCP shows a failed call to the model. OpenEnv's clients read no `isError`, and need an exception.
-            if "session_id" in params:
+            if "session_id" in params or error.kind == "tool_not_found":
                 raise
             return {"content": [{"type": "text", "text": str(error)}], "isError": True}
     except CapacityError as error:
-        raise ToolError(str(error), SERVER_ERROR) from None
+        raise ToolError("execution_error", str(error), SERVER_ERROR) from None
     except (LookupError, InvalidValueError) as error:
-        raise ToolError(str(error)) from None
+        raise ToolError("invalid_args", str(error)) from None
 
 
 def _refused(message: dict[str, Any], error: ToolError) -> Response:
@@ -250,3 +265,16 @@ def _greeting(version: object) -> dict[str, Any]:
         "capabilities": {"tools": {}},
         "serverInfo": {"name": ENV_NAME, "version": __version__},
     }
+
+
+def _listed(schema: str) -> list[dict[str, Any]]:
+    return [
+        {"name": name, "description": about, schema: arguments.model_json_schema()}
+        for name, (arguments, about) in TOOLS.items()
+    ]
+
+
+def _result(data: dict[str, Any]) -> dict[str, Any]:
+    """Return a tool's result in MCP's format, with `data` for OpenEnv's clients."""
+    text = {"type": "text", "text": data["text"]}
+    return {"content": [text], "structuredContent": data, "data": data, "isError": False}

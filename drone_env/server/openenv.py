@@ -20,6 +20,7 @@ from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError,
 from drone_env.flights.sessions import in_share
 from drone_env.models import DroneState
 from drone_env.server.json_bodies import TRY_LATER, parse_json, received
+from drone_env.server.mcp import step_as_tool
 from drone_env.server.openenv_session import OpenEnvSession
 from drone_env.server.schemas import OpenEnvReset, RouteAction
 from drone_env.server.state import AppState, caller_address
@@ -114,6 +115,8 @@ class OpenEnvSocket:
             raise RefusedError("VALIDATION_ERROR", "a frame has `type` and `data`, an object, and nothing else")
         data = cast(dict[str, Any], data)
         try:
+            if kind == "step" and data.get("type") in ("list_tools", "call_tool"):
+                return _frame("observation", to_json(await step_as_tool(session, data)).decode())
             if kind == "step":
                 episode, reward, flown = await session.fly(RouteAction.model_validate(data).direction)
                 return _frame("observation", await session.observation(episode, reward, flown=flown))

@@ -62,6 +62,15 @@ def test_an_invalid_request_is_an_error_and_the_flight_goes_on(
     assert answers[1] == answers[3]
 
 
+def test_a_call_before_the_first_reset_is_an_error(shared_client: TestClient) -> None:
+    with shared_client.websocket_connect("/ws") as socket:
+        for name, arguments in (("look", {}), ("fly", {"route": "UP"})):
+            call = {"type": "call_tool", "tool_name": name, "arguments": arguments}
+            socket.send_json({"type": "step", "data": call})
+            error = socket.receive_json()["data"]["observation"]["error"]
+            assert error == {"error_type": "execution_error", "message": "no episode yet: call reset() first"}
+
+
 def test_a_session_is_that_of_http_until_it_is_closed(shared_client: TestClient) -> None:
     session = opened(shared_client)
     named = {"X-Session-Id": session}

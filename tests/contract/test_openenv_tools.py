@@ -43,16 +43,20 @@ def test_the_tool_client_flies_a_map(server: Server) -> None:
             env.call_tool("fly", route="SIDEWAYS")
 
 
-def test_a_client_that_knows_nothing_of_us_flies(server: Server) -> None:
+def test_a_client_that_knows_nothing_of_us_flies_in_each_form(server: Server) -> None:
     from openenv.core.generic_client import GenericEnvClient
 
     # The loop of verifiers' taskset fills the one field that the schema requires.
     (field,) = server.client.get("/schema").json()["action"]["required"]
+    best = solve("easy", 7).score
+    tool = {"type": "call_tool", "tool_name": "fly", "arguments": {"route": best_route("easy", 7)}, "metadata": {}}
     with GenericEnvClient(server.url).sync() as env:
-        env.reset(task_name="easy", seed=7, prompt="minimal")
-        result = env.step({field: best_route("easy", 7)})
-        assert (result.reward, result.done) == (solve("easy", 7).score, True)
+        for step in ({field: best_route("easy", 7)}, tool):
+            env.reset(task_name="easy", seed=7, prompt="minimal")
+            result = env.step(step)
+            assert (result.reward, result.done) == (best, True)
         env.reset(split="hard_delivery/test", index=3)
+        assert [tool["name"] for tool in env.step({"type": "list_tools"}).observation["tools"]] == TOOLS
         with pytest.raises(RuntimeError, match="VALIDATION_ERROR"):
             env.step({"direction": "SIDEWAYS"})
         assert env.step({"direction": "UP", "metadata": {"thought": "up"}}).observation["step_count"] == 1
