@@ -36,16 +36,19 @@ def data(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return folder
 
 
-def test_the_stages_train(post_train: Any, data: Path, tmp_path: Path) -> None:
+def test_the_stages_train(post_train: Any, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options = post_train.Options(data=data, out=tmp_path, quick=True, samplers=("difficulty",))
     post_train.main((), options)
+    monkeypatch.setattr(post_train, "paid_for", lambda policy, kind, flight, answers: [1.0] * len(answers))
+    post_train.main(("grpo",), post_train.replace(options, rewards=("rank",), seed=1))
     results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
     assert results["sft"]["answers"] == 32
-    for kind in options.rewards:
-        assert (tmp_path / f"grpo-{kind}-difficulty-0" / "model.safetensors").exists()
-        (row,) = results[f"grpo-{kind}-difficulty-0"]["log"]
+    for name in (*(f"grpo-{kind}-difficulty-0" for kind in options.rewards), "grpo-rank-difficulty-1"):
+        assert (tmp_path / name / "model.safetensors").exists()
+        (row,) = results[name]["log"]
         assert (row["step"], row["groups"], row["answers"]) == (2, 4, 8)
         assert row["answers"] <= row["tokens"] <= 8 * row["answers"]
+    assert (row["without_signal"], row["reward"]) == (4, 8)
 
 
 def test_samples_have_the_likelihoods_that_the_model_gives_each_alone(post_train: Any, data: Path) -> None:
