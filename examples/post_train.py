@@ -409,8 +409,7 @@ def paid_for(policy: Policy, kind: Reward, flight: TextEpisode, answers: Sequenc
 class Maps:
     """1,000 train maps for each seed.
 
-    The sampler `difficulty` works as in OpenEnv's RFC 013: it draws a map more often, the larger the share of groups
-    with a signal, that is unequal rewards, was on maps of this difficulty.
+    The sampler `difficulty` prefers difficulties where more groups have a signal, as in OpenEnv's RFC 013.
     """
 
     def __init__(self, options: Options, sampler: Sampler, seed: int) -> None:
