@@ -409,8 +409,7 @@ def paid_for(policy: Policy, kind: Reward, flight: TextEpisode, answers: Sequenc
 class Maps:
     """1,000 train maps for each seed.
 
-    The sampler `difficulty` works as in OpenEnv's RFC 013: it draws a map more often, the larger the share of groups
-    with a signal, that is unequal rewards, was on maps of this difficulty.
+    The sampler `difficulty` prefers difficulties where more groups have a signal, as in OpenEnv's RFC 013.
     """
 
     def __init__(self, options: Options, sampler: Sampler, seed: int) -> None:
@@ -446,9 +445,10 @@ def reinforce(options: Options) -> None:
                 paid = np.array(paid_for(policy, kind, flight, answers[1:]))
                 gains = torch.tensor((paid - paid.mean()) / (paid.std() + 1e-4), dtype=torch.float32, device=DEVICE)
                 losses.append(-(gains * likely[sampled]).mean())
-                maps.signal[difficulty] += 0.01 * ((np.ptp(paid) > 0) - maps.signal[difficulty])
+                signal = bool(np.ptp(paid) > 0)
+                maps.signal[difficulty] += 0.01 * (signal - maps.signal[difficulty])
                 unusable = sum(not flight.read(answer).actions for answer in answers[1:])
-                sums.update(groups=1, without_signal=np.ptp(paid) == 0, answers=len(paid), unusable=unusable)
+                sums.update(groups=1, without_signal=not signal, answers=len(paid), unusable=unusable)
                 sums.update(tokens=sum(map(len, tokens[sampled])), reward=paid.sum())
                 flight.answer(answers[0])
                 if not flight.messages:

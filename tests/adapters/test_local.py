@@ -61,6 +61,11 @@ def infer(folder: Path, out: Path, *options: str) -> int:
     return main(["infer", "--local", str(folder), "--out", str(out), *RUN, *options])
 
 
+def answers(run: Path) -> dict[tuple[int, int, int], Any]:
+    calls = [call for call in json_lines(run / "calls.jsonl") if call["answer"]]
+    return {(call["flight"], call["turn"], call["attempt"]): call["answer"] for call in calls}
+
+
 def test_a_batch_answers_as_the_model_does_one_request_at_a_time(folder: Path) -> None:
     local, alone = LocalModel(folder, "float32"), AutoModelForCausalLM.from_pretrained(folder, dtype=torch.float32)
     sent = requests(6)
@@ -95,11 +100,7 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_stopped(folder: Path, tmp_path: 
     assert infer(folder, tmp_path / "whole") == 0
     assert infer(folder, tmp_path / "cut", "--max-calls", "20", "--concurrency", "2") == 3
     assert infer(folder, tmp_path / "cut", "--resume", "--concurrency", "3") == 0
-    whole, cut = (
-        {(call["flight"], call["turn"], call["attempt"]): call["answer"] for call in json_lines(path / "calls.jsonl")}
-        for path in (tmp_path / "whole", tmp_path / "cut")
-    )
-    assert {key: answer for key, answer in cut.items() if answer} == whole
+    assert answers(tmp_path / "whole") == answers(tmp_path / "cut")
     assert (tmp_path / "whole/episodes.jsonl").read_text() == (tmp_path / "cut/episodes.jsonl").read_text()
     flights = read_run(tmp_path / "whole").flights
     assert {run.prompt.id for run in flights} == {get_prompt("stops").id}
@@ -134,11 +135,7 @@ def test_answers_equal_those_of_transformers_serve(
     finally:
         serve.kill_server()
     local, served = (
-        {
-            (call["flight"], call["turn"], call["attempt"]): call["answer"]["text"]
-            for call in json_lines(path / "calls.jsonl")
-        }
-        for path in (tmp_path / "local", tmp_path / "served")
+        {key: answer["text"] for key, answer in answers(tmp_path / run).items()} for run in ("local", "served")
     )
     assert local == served
     assert len(set(local.values())) > 2
