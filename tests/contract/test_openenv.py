@@ -11,6 +11,7 @@ import yaml
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
+from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import EpisodeError, InvalidValueError
@@ -45,7 +46,7 @@ def test_the_official_client_flies_synchronously(server: Server) -> None:
             env.step(cast(DroneAction, "UP"))
         for action in best_actions(task, 7):
             result = env.step(action)
-            assert result.reward == flight.step(action.action)
+            assert result.reward == flight.step(Action[action.direction])
             assert result.observation == DroneObservation.of(flight)
         state = env.state()
         assert result.done
