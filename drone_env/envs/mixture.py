@@ -14,7 +14,7 @@ from drone_env.core.seeds import SPLITS, check_seed
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.wrappers import StopObservation
-from drone_env.errors import UnknownNameError
+from drone_env.errors import InvalidValueError, UnknownNameError
 
 OUTSIDE = N_CELL_KINDS
 """The id of the cells of a grid beyond the map; no one-hot plane marks them."""
@@ -30,12 +30,17 @@ class MixtureEnv(gymnasium.Env[Arrays, int]):
     Args:
         tasks: The tasks or their names, at least one.
         stops: If True, observations are `forms.StopEntries` instead, and `features` ends with the one-hot number.
-        options: `reward_profile` and `render_mode`, as for `DroneDeliveryEnv`, which also raises the errors.
+        options: `reward_profile` and `render_mode`, as for `DroneDeliveryEnv`, which also raises the other errors.
+
+    Raises:
+        InvalidValueError: if there is no task.
     """
 
     metadata = DroneDeliveryEnv.metadata
 
     def __init__(self, tasks: Sequence[str | TaskConfig], stops: bool = False, **options: Any) -> None:
+        if not tasks:
+            raise InvalidValueError("a mixture needs at least one task")
         drones = [DroneDeliveryEnv(task, **options) for task in tasks]
         self.render_mode = drones[0].render_mode
         self._envs: dict[str, Any] = {drone.task.id: StopObservation(drone) if stops else drone for drone in drones}

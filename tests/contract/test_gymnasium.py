@@ -192,3 +192,5 @@ def test_a_mixture_draws_tasks_and_maps_from_its_seed() -> None:
         env.reset(options={"task": "hard"})
     with pytest.raises(InvalidValueError, match="no options"):
         env.reset(options={"map": 1})
+    with pytest.raises(InvalidValueError, match="at least one task"):
+        make(MIXTURE, tasks=[])
