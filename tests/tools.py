@@ -1,5 +1,6 @@
 """Tools that tests need from the machine."""
 
+import atexit
 import os
 import re
 import shutil
@@ -112,9 +113,6 @@ def is_taken(port: int) -> bool:
         return asking.connect_ex(("127.0.0.1", port)) == 0
 
 
-_RESERVED: list[socket.socket] = []
-
-
 def reserved_port() -> int:
     """Return a port for a server of the tests, reserved as long as this process lives.
 
@@ -124,7 +122,7 @@ def reserved_port() -> int:
     sock = socket.socket()
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     sock.bind(("127.0.0.1", 0))
-    _RESERVED.append(sock)
+    atexit.register(sock.close)
     return sock.getsockname()[1]
 
 

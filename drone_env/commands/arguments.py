@@ -27,6 +27,7 @@ AgentName = Annotated[str, tyro.conf.arg(metavar=AGENT)]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=AGENT)]
 ChosenAgent = Annotated[str | None, tyro.conf.arg(metavar=AGENT), OPTIONAL]
 Split = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
+Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...", help_behavior_hint="")]
 SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS)), OPTIONAL]
 SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B"), OPTIONAL]
 PROFILE = "|".join((*REWARD_PROFILES, "FILE.toml"))

@@ -4,16 +4,14 @@ import sys
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
-
+from drone_env.commands.arguments import Folders
 from drone_env.errors import InvalidValueError, needs
 from drone_env.results.leaderboard import Leaderboard, LeaderboardEntry, NotRanked, evaluation_entries, group_by_maps
 from drone_env.results.statistics import DIFFERENCES, PairedComparison, ci95, mean_of
 from drone_env.results.tables import Table, known_sum, number, percent, print_table, with_interval
 
-Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 EVALUATION, RUN = "evaluation.json", "run.json"
 """Copies of constants: `results.folder` loads Pydantic, `llm.run_folder` needs an extra."""
 

@@ -4,17 +4,15 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
-
+from drone_env.commands.arguments import Folders
 from drone_env.errors import InvalidValueError, needs
 from drone_env.files import write_text
 from drone_env.results.statistics import iqm_interval
 from drone_env.results.tables import Table, latex, markdown, print_table
 from drone_env.results.training import Group, group_curves, read_runs
 
-Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Readable with every colour vision (Okabe and Ito)."""
 STYLE: Any = {"font.size": 8, "pdf.fonttype": 42, "svg.hashsalt": "drone-env"}

@@ -10,7 +10,7 @@ import tyro
 
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
-from drone_env.commands.arguments import ChosenAgent
+from drone_env.commands.arguments import OPTIONAL, ChosenAgent
 from drone_env.commands.evaluate import TaskNames, chosen_tasks
 from drone_env.commands.printing import progress_bar
 from drone_env.commands.verify import verify
@@ -18,7 +18,7 @@ from drone_env.core.episode import Episode, rollout
 from drone_env.core.seeds import split_seeds
 from drone_env.errors import InvalidValueError, needs
 
-Runs = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR")]
+Runs = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR"), OPTIONAL]
 
 
 def submit(

@@ -9,7 +9,7 @@ from drone_env.commands.evaluate import print_results
 from drone_env.results.statistics import Summary
 from drone_env.results.tables import percent
 
-Files = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE...")]
+Files = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE...", help_behavior_hint="")]
 
 
 def verify(files: Files) -> None:
