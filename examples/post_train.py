@@ -425,7 +425,11 @@ class Maps:
 
 
 def reinforce(options: Options) -> None:
-    """Train the fine-tuned model by GRPO on the states that it visits: each reward, each sampler, each seed."""
+    """Train the fine-tuned model by GRPO on the states that it visits: each reward, each sampler, each seed.
+
+    A flight goes on with the greedy answer. If that is unusable, it takes the first usable sample: otherwise the same
+    request, with a step less, would follow until the steps run out.
+    """
     for number, sampler, kind in itertools.product(range(options.grpo_seeds), options.samplers, options.rewards):
         name, seed = f"grpo-{kind}-{sampler}-{options.seed + number}", options.seed + number
         if name in results(options):
@@ -450,7 +454,7 @@ def reinforce(options: Options) -> None:
                 unusable = sum(not flight.read(answer).actions for answer in answers[1:])
                 sums.update(groups=1, without_signal=not signal, answers=len(paid), unusable=unusable)
                 sums.update(tokens=sum(map(len, tokens[sampled])), reward=paid.sum())
-                flight.answer(answers[0])
+                flight.answer(next((answer for answer in answers if flight.read(answer).actions), answers[0]))
                 if not flight.messages:
                     sums.update(flights=1, score=flight.score)
             training.step(torch.stack(losses).mean(), options.grpo_lr or rate, step, step / options.grpo_steps)
