@@ -5,9 +5,11 @@ python tools/docs_tables.py --check    changes nothing, and names what is not up
 """
 
 import sys
+import tarfile
 from collections.abc import Callable
 from pathlib import Path
 from statistics import fmean
+from tempfile import TemporaryDirectory
 from typing import Any, cast
 
 from pydantic_settings import BaseSettings
@@ -18,8 +20,11 @@ from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm.config import InferenceSettings
-from drone_env.results.evaluate import summarise
-from drone_env.results.folder import SHIPPED, stored_results
+from drone_env.llm.report import report
+from drone_env.llm.run_folder import read_run
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
+from drone_env.results.folder import SHIPPED, shipped_results, stored_results
+from drone_env.results.leaderboard import group_by_maps
 from drone_env.results.statistics import Summary
 from drone_env.results.submission import SubmissionHead, read_submission
 from drone_env.results.tables import markdown, number, percent, with_interval
@@ -27,6 +32,7 @@ from drone_env.server.settings import Settings
 
 DOCS = Path(__file__).parents[1] / "docs"
 SUBMISSIONS = DOCS.with_name("leaderboard")
+TRANSCRIPTS = SUBMISSIONS / "transcripts.tar.xz"
 STANDARD = [task for task in TASKS.values() if task.battery_capacity == task.max_steps]
 BEST = "optimal"
 SPECIAL = (Event.NONE, Event.DELIVERY)
@@ -163,6 +169,33 @@ def submitter(head: SubmissionHead) -> str:
     return name if head.prompt is None else f"{name}, `{head.prompt}`, {percent(head.unusable)} unusable"
 
 
+def language_models() -> str:
+    """The runs in the archive of transcripts, flown again, beside agents over the same maps: a table for each task."""
+    parts: list[str] = []
+    with TemporaryDirectory() as folder, tarfile.open(TRANSCRIPTS) as archive:
+        archive.extractall(folder, filter="data")
+        runs = [report(read_run(path)) for path in sorted(Path(folder).iterdir())]
+    for board in group_by_maps(runs):
+        key, ranked = board.rows[0].results.key, list[tuple[Summary, list[str]]]()
+        for entry in board.rows:
+            figures = entry.report
+            unusable = f"{percent(figures['unusable']['share'])} of {figures['unusable']['of']}"
+            verdict = f"{figures['verdict']}{', marked' if figures['unusable']['marked'] else ''}"
+            ranked.append((entry.summary, [entry.agent, f"`{entry.prompt}`", unusable, verdict]))
+        for agent in ("random", "nearest", BEST):
+            of_agent = episodes_key(key.task, agent, range(*key.seeds), key.split)
+            summary = Summary.of(shipped_results(of_agent) or run_episodes(of_agent))
+            ranked.append((summary, [agent, "-", "-", "-"]))
+        ranked.sort(key=lambda row: row[0].score or 0, reverse=True)
+        rows = [["agent or model", "prompt", "score", "of the optimum", "delivered all", "unusable answers", "verdict"]]
+        for summary, (agent, prompt, *answers) in ranked:
+            shares = [number(summary.ratio), percent(summary.success_rate)]
+            rows.append([agent, prompt, with_interval(summary.score, summary.score_ci95), *shares, *answers])
+        title = f"{board.task.partition(' ')[0]}, the first {key.seeds[1] - key.seeds[0]} test maps"
+        parts.append(f"**{title}**\n\n{markdown(rows)}")
+    return "\n\n".join(parts)
+
+
 def tables() -> dict[tuple[str, str], str]:
     """Every table, by its page and its name."""
     return {
@@ -170,6 +203,7 @@ def tables() -> dict[tuple[str, str], str]:
         ("benchmark.md", "agents on rush"): agents("rush"),
         ("cities.md", "agents"): agents("city"),
         ("../leaderboard/README.md", "leaderboard"): leaderboard(),
+        ("../leaderboard/README.md", "language models"): language_models(),
         ("rules.md", "kinds"): kinds(),
         ("tasks.md", "tasks"): tasks(),
         ("cities.md", "layers"): of_cities(),

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from inspect import signature
 from itertools import takewhile
+from math import inf
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -134,20 +135,21 @@ class LocalModel:
     def _generate(self, prompts: Sequence[Sequence[int]], options: Mapping[str, Any]) -> list[Answer]:
         """The answers to requests with equal options."""
         longest, temperature = max(map(len, prompts)), options.get("temperature")
+        following = next((options[name] for name in LIMITS & options.keys()), 1024)
         sampling: dict[str, Any] = {"do_sample": temperature != 0}
         if temperature:
             sampling["temperature"] = temperature
         if "seed" in options:
             torch.manual_seed(options["seed"])
         with torch.inference_mode():
-            shared, read = read_shared(self.model, prompts)
+            shared, read = read_shared(self.model, prompts, following)
             padding = [(tokens[:shared], longest - len(tokens), tokens[shared:]) for tokens in prompts]
             ids = [[*start, *[self._pad] * missing, *rest] for start, missing, rest in padding]
             mask = [[1] * len(start) + [0] * missing + [1] * len(rest) for start, missing, rest in padding]
             made = self.model.generate(
                 input_ids=torch.tensor(ids, device=self.model.device),
                 attention_mask=torch.tensor(mask, device=self.model.device),
-                max_new_tokens=next((options[name] for name in LIMITS & options.keys()), 1024),
+                max_new_tokens=following,
                 eos_token_id=sorted(self._ends),
                 pad_token_id=self._pad,
                 stopping_criteria=[self._is_stopped],
@@ -172,23 +174,26 @@ class LocalModel:
         )
 
 
-def read_shared(model: Any, requests: Sequence[Sequence[int]]) -> tuple[int, dict[str, Any]]:
+def read_shared(model: Any, requests: Sequence[Sequence[int]], following: float = inf) -> tuple[int, dict[str, Any]]:
     """Read the first tokens that all requests share once.
 
     Args:
         model: A causal language model of transformers.
         requests: The tokens of each request.
+        following: Maximum number of tokens after the longest request.
 
     Returns:
         The number of these tokens, and the argument with which the model continues all requests. The number is 0 for
-        one request, and for a model with layers that do not see all earlier tokens.
+        one request, and for a model with layers that do not see all earlier tokens, such as a window of the last 512.
     """
     places = zip(*(tokens[:-1] for tokens in requests), strict=False)
     shared = sum(1 for _ in takewhile(lambda tokens: len(set(tokens)) == 1, places))
     if not shared or len(requests) == 1:
         return 0, {}
     layers = transformers.DynamicCache(config=model.config)
-    if {type(layer) for layer in layers.layers} != {transformers.cache_utils.DynamicLayer}:
+    windows = [getattr(layer, "sliding_window", inf) for layer in layers.layers]
+    known = {transformers.cache_utils.DynamicLayer, transformers.cache_utils.DynamicSlidingWindowLayer}
+    if min(windows) < max(map(len, requests)) + following or not known.issuperset(map(type, layers.layers)):
         return 0, {}
     decoder = model.get_decoder()
     name = "cache" if "cache" in signature(decoder.forward).parameters else "past_key_values"

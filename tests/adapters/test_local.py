@@ -9,11 +9,18 @@ from typing import Any
 import pytest
 import torch
 from tokenizers import Tokenizer, models, pre_tokenizers
-from transformers import AutoModelForCausalLM, PreTrainedTokenizerFast, Qwen3Config, Qwen3ForCausalLM
+from transformers import (
+    AutoModelForCausalLM,
+    Gemma3ForCausalLM,
+    Gemma3TextConfig,
+    PreTrainedTokenizerFast,
+    Qwen3Config,
+    Qwen3ForCausalLM,
+)
 
 from drone_env.cli import main
 from drone_env.llm.answers import Answer
-from drone_env.llm.local import LocalModel
+from drone_env.llm.local import LocalModel, read_shared
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import read_run
 from drone_env.llm.sender import TryFailedError
@@ -44,6 +51,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def sliding(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A Gemma 3 of random weights with the same tokenizer; a layer sees the last tokens only."""
+    path = tmp_path_factory.mktemp("models") / "sliding"
+    shutil.copytree(folder, path)
+    sizes = {"hidden_size": 32, "intermediate_size": 64, "head_dim": 8, "num_attention_heads": 4}
+    layers = {"layer_types": ["sliding_attention", "full_attention"], "num_hidden_layers": 2, "sliding_window": 400}
+    config = Gemma3TextConfig(vocab_size=len(WORDS), num_key_value_heads=2, **sizes, **layers, eos_token_id=0)
+    Gemma3ForCausalLM(config).save_pretrained(path)
+    return path
+
+
 def requests(count: int, **options: Any) -> list[dict[str, Any]]:
     """Requests of different lengths."""
     body = {"model": "tiny", "temperature": 0.0, "max_tokens": 4, **options}
@@ -66,11 +85,15 @@ def answers(run: Path) -> dict[tuple[int, int, int], Any]:
     return {(call["flight"], call["turn"], call["attempt"]): call["answer"] for call in calls}
 
 
-def test_a_batch_answers_as_the_model_does_one_request_at_a_time(folder: Path) -> None:
+@pytest.mark.parametrize("name", ["folder", "sliding"])
+def test_a_batch_answers_as_the_model_does_one_request_at_a_time(name: str, request: pytest.FixtureRequest) -> None:
+    folder: Path = request.getfixturevalue(name)
     local, alone = LocalModel(folder, "float32"), AutoModelForCausalLM.from_pretrained(folder, dtype=torch.float32)
     sent = requests(6)
     texts = [" ".join(message["content"] for message in request["messages"]) + " " for request in sent]
-    assert len({len(local.tokenizer(text).input_ids) for text in texts}) > 1
+    tokens = local.tokenizer(texts).input_ids
+    assert len({len(one) for one in tokens}) > 1
+    assert [read_shared(local.model, tokens, most)[0] > 0 for most in (4, 400)] == [True, name == "folder"]
     for text, answer in zip(texts, answered(local, *sent), strict=True):
         inputs = local.tokenizer(text, return_tensors="pt").input_ids
         (row,) = alone.generate(inputs, max_new_tokens=4, do_sample=False)
