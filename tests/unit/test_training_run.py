@@ -259,6 +259,7 @@ def test_the_settings_beside_a_run_repeat_it_bit_for_bit(
         ('algorithm = "sac"', "unknown algorithm 'sac'; allowed: dqn, ppo, tournet"),
         ("learning-rate = 1", "unknown setting of dqn 'learning-rate'; did you mean 'learning_rate'?"),
         ('algorithm = "ppo"\nepisodes = 3', "unknown setting of ppo 'episodes'"),
+        ('algorithm = "ppo"\npreset = "fast"', "unknown setting of ppo 'preset'"),
         ("[ppo]\nseed = 3", "unknown setting of dqn 'ppo'"),
         ('seed = "3"', "seed should be a valid integer, got '3'"),
         ("double = 1", "double should be a valid boolean, got 1"),
