@@ -178,7 +178,7 @@ class TrainingRun:
         save_checkpoint(self.checkpoint, self.trainer.get_state() | {"seconds": self.seconds})
         if self.trainer.best:
             parameters = {name: tensor.cpu().numpy() for name, tensor in self.trainer.best.items()}
-            write_weights(self.network, parameters, self.trainer.metadata() | {"seconds": round(self.seconds, 1)})
+            write_weights(self.network, parameters, self.trainer.metadata())
         if self.trainer.history:
             self._write_history()
 
