@@ -38,7 +38,6 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     Raises:
         OSError: if it cannot be written; the previous file stays.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary, temporary.open("wb") as file:
         torch.save({"format": FORMAT, **state}, file)
         file.flush()
