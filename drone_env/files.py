@@ -59,11 +59,12 @@ def read_lines(path: str | Path, most: int) -> Iterator[bytes]:
 
 @contextmanager
 def replacing(path: Path) -> Generator[Path, None, None]:
-    """Yield a temporary path to write to, which replaces `path` at the end of the `with`.
+    """Yield a temporary path to write to, which replaces `path` at the end of the `with`; folders are made.
 
     If an error occurs, the temporary file is removed and `path` is unchanged.
     """
     temporary = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}.part")
+    path.parent.mkdir(parents=True, exist_ok=True)
     try:
         yield temporary
         temporary.replace(path)

@@ -23,7 +23,7 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.datasets.build import columns
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
-from drone_env.envs.registry import load_plugins
+from drone_env.envs.registry import load_plugins, plugin_names
 from drone_env.envs.rendering import draw_picture
 from drone_env.errors import TooLargeError, UnsupportedTaskError
 from drone_env.results.tables import markdown
@@ -43,7 +43,7 @@ PAGE = """# {title}
 
 The first test map. {caption}.
 
-| Import | `gymnasium.make("drone_env:{task.gym_id}")` |
+| Import | `gymnasium.make("{module}:{task.gym_id}")` |
 |---|---|
 | Action space | `{env.action_space}` |
 | Observation space | `{env.observation_space}` |
@@ -118,9 +118,8 @@ def film(flown: list[Episode]) -> bytes:
         for episode, copy in zip(flown, again, strict=True):
             copy.fly(episode.actions[copy.steps : step])
         pictures.append(Image.fromarray(np.hstack([draw_picture(copy, PIXELS) for copy in again])))
-    both_ends = Image.fromarray(
-        np.vstack([np.asarray(pictures[0]), np.asarray(pictures[-1])])
-    )  # parcels before and after delivery
+    # Parcels before and after delivery.
+    both_ends = Image.fromarray(np.vstack([np.asarray(pictures[0]), np.asarray(pictures[-1])]))
     palette = both_ends.quantize(COLOURS, Image.Quantize.MEDIANCUT)
     first, *rest = (one.quantize(palette=palette, dither=Image.Dither.NONE).convert("RGB") for one in pictures)
     options: dict[str, Any] = {"duration": [FRAME_MS] * len(rest) + [END_MS], "loop": 0}
@@ -149,10 +148,11 @@ def observation(task: TaskConfig) -> str:
 
 def page(task: TaskConfig, flown: dict[str, Episode]) -> str:
     """The page of a task in Markdown."""
-    env = DroneDeliveryEnv(task)
+    env, modules = DroneDeliveryEnv(task), [name for name in plugin_names() if not name.endswith(".toml")]
     ends = [f"{FLOWN[agent]}, score {one.score:.4f} after {one.steps} steps" for agent, one in flown.items()]
     return PAGE.format(
         task=task,
+        module="drone_env" if scores_of(task) or not modules else modules[0],
         env=env,
         title=title(task),
         caption="; ".join(map(": ".join, zip(("Left", "right"), ends, strict=False))),

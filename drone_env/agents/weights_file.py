@@ -84,7 +84,6 @@ class NumpyNetwork:
 
 def write_weights(path: Path, parameters: Mapping[str, Array], metadata: Mapping[str, Any]) -> None:
     """Write a network to a file, and create missing folders."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     content = save(
         {name: _smallest(array) for name, array in parameters.items()}, {METADATA: json.dumps(metadata, sort_keys=True)}
     )

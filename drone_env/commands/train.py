@@ -89,7 +89,8 @@ def expand_config(arguments: Sequence[str]) -> list[str]:
         algorithm = given.algorithm or table.get("algorithm", "dqn")
         if algorithm not in tuple(SETTINGS):
             raise UnknownNameError("algorithm", algorithm, SETTINGS)
-        known = {"algorithm", "preset", *(field.name for field in fields(SETTINGS[algorithm]))}
+        known = {"algorithm", *(field.name for field in fields(SETTINGS[algorithm]))}
+        known |= {"preset"} if algorithm == "dqn" else set()
         for name, value in table.items():
             if name not in known:
                 raise UnknownNameError(f"setting of {algorithm}", name, known)

@@ -38,7 +38,6 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     Raises:
         OSError: if it cannot be written; the previous file stays.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary, temporary.open("wb") as file:
         torch.save({"format": FORMAT, **state}, file)
         file.flush()
@@ -178,7 +177,7 @@ class TrainingRun:
         save_checkpoint(self.checkpoint, self.trainer.get_state() | {"seconds": self.seconds})
         if self.trainer.best:
             parameters = {name: tensor.cpu().numpy() for name, tensor in self.trainer.best.items()}
-            write_weights(self.network, parameters, self.trainer.metadata() | {"seconds": round(self.seconds, 1)})
+            write_weights(self.network, parameters, self.trainer.metadata())
         if self.trainer.history:
             self._write_history()
 

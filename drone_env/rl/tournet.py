@@ -322,6 +322,5 @@ class TourTrainer(BaseTrainer):
             "config": self.config.identity(),
             "updates": self.updates,
             "states": self.states,
-            "cpu_seconds": round(self.cpu_seconds, 1),
             "validation_shares": {name: None if math.isnan(ratio) else ratio for name, ratio in self.ratios.items()},
         }

@@ -30,11 +30,12 @@ def test_a_task_of_your_own_gets_a_page_and_a_film(monkeypatch: pytest.MonkeyPat
 
     names = {"id": "courier", "short_name": "courier", "grader": "drone_env.graders:grade_courier"}
     monkeypatch.setattr(docs_environments, "TASKS", {"courier": replace(TASKS["easy_delivery"], deliveries=2, **names)})
+    monkeypatch.setattr(docs_environments, "plugin_names", lambda: ("town.toml", "my_world"))
     files = docs_environments.site_files()
     assert [*files] == ["environments/courier.md", "environments/courier.webp"]
     page, film = files.values()
     for part in (
-        "drone_env:DroneDelivery-Courier-v1",
+        "my_world:DroneDelivery-Courier-v1",
         "| parcels | 2 |",
         "uint8[10, 10]",
         "| `score` |",

@@ -21,7 +21,7 @@ Lines = list[str]
 @pytest.fixture(scope="module")
 def lines(tmp_path_factory: pytest.TempPathFactory) -> Lines:
     """A submission of `greedy`: lines 2 to 21 are easy, 22 to 41 skyline_easy."""
-    file = tmp_path_factory.mktemp("submission") / "greedy.jsonl"
+    file = tmp_path_factory.mktemp("submission") / "leaderboard" / "greedy.jsonl"  # a folder to make
     options = ["--agent", "greedy", "--name", "rule", "--link", "https://example.org", "--maps", "20"]
     assert main(["submit", *options, "--task", "easy", "skyline_easy", "--out", str(file)]) == 0
     return file.read_text(encoding="utf-8").splitlines()

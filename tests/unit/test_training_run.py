@@ -230,7 +230,7 @@ MINE = 'id = "mine"\npays_score = true\n[events]\ndelivery = 1.0\n'
 @pytest.mark.parametrize(
     ("make", "config"),
     [
-        (Trainer, replace(SMALL, seed=3, double=False, gamma=1)),
+        (Trainer, replace(SMALL, seed=3, double=False, gamma=1.0)),
         (PpoTrainer, replace(SMALL_PPO, steps=64, learning_rate=3e-5)),
         (TourTrainer, replace(SMALL_TOUR, updates=3)),
     ],
@@ -249,6 +249,8 @@ def test_the_settings_beside_a_run_repeat_it_bit_for_bit(
     assert main(["train", "--config", str(settings), "--data", "b", "--results", "b"]) == 0
     first, second = (shared(load_checkpoint(Path(folder, f"{config.name}.pth"))) for folder in "ab")
     assert_same(first, second)
+    networks = [Path(folder, f"{config.name}.safetensors").read_bytes() for folder in "ab"]
+    assert networks[0] == networks[1]
     # The command line wins: the checkpoint of the other seed does not fit.
     assert main(["train", f"--config={settings}", "--seed", "8", "--data", "b", "--results", "b"]) == 2
 
@@ -259,6 +261,7 @@ def test_the_settings_beside_a_run_repeat_it_bit_for_bit(
         ('algorithm = "sac"', "unknown algorithm 'sac'; allowed: dqn, ppo, tournet"),
         ("learning-rate = 1", "unknown setting of dqn 'learning-rate'; did you mean 'learning_rate'?"),
         ('algorithm = "ppo"\nepisodes = 3', "unknown setting of ppo 'episodes'"),
+        ('algorithm = "ppo"\npreset = "fast"', "unknown setting of ppo 'preset'"),
         ("[ppo]\nseed = 3", "unknown setting of dqn 'ppo'"),
         ('seed = "3"', "seed should be a valid integer, got '3'"),
         ("double = 1", "double should be a valid boolean, got 1"),
