@@ -52,7 +52,8 @@ def percent(value: float | None) -> str:
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:
     """Format rows as a table in Markdown; the first one is its head."""
-    lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in rows]
+    texts = [[cell.replace("|", r"\|") for cell in row] for row in rows]
+    lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in texts]
     return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
 
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from drone_env.results.tables import Table, print_table
+from drone_env.results.tables import Table, markdown, print_table
 
 HEAD = ("task", "agent", "score (95 %)", "optimum", "ratio", "success", "steps")
 ROW = ("skyline_hard v2", "my_agents.module:chase", "0.0400 [0.0100, 0.0852]", "0.9455", "0.0423", "0.0%", "18.5")
@@ -25,3 +25,7 @@ def test_a_table_fits_the_terminal_and_cuts_no_cell(
     _, _, below = printed.partition("──")
     assert sorted("".join(below.split())) == sorted("".join("".join(ROW).split()) + "─" * below.count("─"))
     assert (len(below.splitlines()) == 3) == (width is None)  # wide enough for a line a row
+
+
+def test_a_name_with_a_bar_stays_one_cell_of_markdown() -> None:
+    assert markdown([["agent"], ["fly|me"]]) == "| agent |\n|---|\n| fly\\|me |"
