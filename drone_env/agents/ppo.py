@@ -19,8 +19,8 @@ class ActorNetwork(NumpyNetwork):
         weights: The content of an exported file; its metadata contain `telemetry_size` and the settings.
     """
 
-    shield = False
-    """Whether the training chose from safe actions alone."""
+    shield = rush = False
+    """The settings of the training."""
 
     @in_one_thread
     def __call__(self, entries: npt.NDArray[np.int32], features: Array) -> Array:
@@ -40,13 +40,14 @@ def load_actor(path: Path) -> ActorNetwork:
     """
     # Imported lazily: Gymnasium takes a while, and so does compiling.
     from drone_env.envs.forms import DIRECTION_FEATURES
-    from drone_env.planning.nearby import ENTRIES
+    from drone_env.planning.nearby import ALL_ENTRIES, ENTRIES
 
     network = ActorNetwork(read_weights(path, PPO))
     with rejecting(path):  # one call shows whether the parameters fit
+        config = network.metadata["config"]
+        network.shield, network.rush = bool(config["shield"]), bool(config.get("rush"))
         features = np.zeros((1, network.metadata["telemetry_size"] + DIRECTION_FEATURES), np.float32)
-        network(np.array([[ENTRIES - 1]], np.int32), features)
-        network.shield = bool(network.metadata["config"]["shield"])
+        network(np.array([[(ALL_ENTRIES if network.rush else ENTRIES) - 1]], np.int32), features)
     return network
 
 
@@ -70,14 +71,14 @@ class PpoAgent(StatelessAgent):
         path = network or require_shipped(task, PPO)
         self._network = load_actor(path)
         self._network.check_telemetry(path, task)
-        self._look = StopEntries(task)
+        self._look = StopEntries(task, self._network.rush)
         self.config: Mapping[str, object] = {"agent": "ppo", "version": 1, "network": self._network.digest}
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """The likeliest actions, int64[N]."""
-        from drone_env.planning.nearby import action_masks, safe_masks
+        from drone_env.planning.nearby import choices
 
         seen = self._look({"grid": grids, "telemetry": telemetry})
         logits = self._network(seen["entries"], seen["features"])
-        masks = (safe_masks if self._network.shield else action_masks)(seen["entries"])
+        masks = choices(seen["entries"], telemetry[:, 2] == 1, self._network.shield, self._network.rush)
         return np.where(masks, logits, -np.inf).argmax(axis=1)

@@ -65,22 +65,25 @@ class StopEntries:
 
     Entries are rows of an embedding table, whose sum a network takes (`torch.nn.EmbeddingBag`, `padding_idx=0`): cost
     and first action of the cheapest path to each stop, units to spare there, the battery, and the cells beside the
-    drone (`planning.nearby`). Features are the telemetry, and the direction of the target: its distance along x and y,
-    the signs, and the absolute values.
+    drone (`planning.nearby`); with `deliveries`, also how many parcels nearest neighbour delivers from each stop.
+    Features are the telemetry, and the direction of the target: its distance along x and y, the signs, and the absolute
+    values.
 
     Args:
         task: The task.
+        deliveries: Whether to add those entries.
     """
 
-    def __init__(self, task: TaskConfig) -> None:
-        from drone_env.planning.nearby import ENTRIES, entry_count  # Imported lazily: compiling takes seconds.
+    def __init__(self, task: TaskConfig, deliveries: bool = False) -> None:
+        # Imported lazily: compiling takes seconds.
+        from drone_env.planning.nearby import ALL_ENTRIES, ENTRIES, entry_count
 
-        self.task = task
-        self.table_size = ENTRIES
+        self.task, self._deliveries = task, deliveries
+        self.table_size = ALL_ENTRIES if deliveries else ENTRIES
         """Rows of the embedding table, the same for every task."""
         self.space = spaces.Dict(
             {
-                "entries": spaces.Box(0, ENTRIES - 1, (entry_count(task),), np.int32),
+                "entries": spaces.Box(0, self.table_size - 1, (entry_count(task, deliveries),), np.int32),
                 "features": spaces.Box(-1.0, 1.0, (task.telemetry_size + DIRECTION_FEATURES,), np.float32),
             }
         )
@@ -91,7 +94,7 @@ class StopEntries:
 
         grid, telemetry = observation["grid"], observation["telemetry"]
         flat = np.reshape(telemetry, (-1, telemetry.shape[-1]))
-        entries = entries_of(self.task, grid.reshape(-1, *grid.shape[-2:]), flat)
+        entries = entries_of(self.task, grid.reshape(-1, *grid.shape[-2:]), flat, self._deliveries)
         to_target = telemetry[..., 3:5] - telemetry[..., :2]
         features = [telemetry, to_target, np.sign(to_target), np.abs(to_target)]
         return {

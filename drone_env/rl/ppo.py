@@ -25,7 +25,7 @@ from torch import Tensor
 from drone_env.agents.weights_file import PPO
 from drone_env.core.seeds import SPLITS
 from drone_env.envs.forms import DIRECTION_FEATURES, StopEntries
-from drone_env.planning.nearby import action_masks, safe_masks
+from drone_env.planning.nearby import choices
 from drone_env.rl.common import TaskTrainer, figure, update_average
 from drone_env.rl.config import PpoConfig
 from drone_env.rl.model import ActorCritic
@@ -88,8 +88,7 @@ class PpoTrainer(TaskTrainer):
         self.rng = torch.Generator().manual_seed(config.seed)
         train = SPLITS["train"]
         self.batch.reset(torch.randint(train.start, train.stop, (config.num_envs,), generator=self.rng).numpy())
-        self.look = StopEntries(self.task)
-        self.masks = safe_masks if config.shield else action_masks
+        self.look = StopEntries(self.task, config.rush)
         self.online = ActorCritic(self.look.table_size, self.task.telemetry_size + DIRECTION_FEATURES, config.hidden)
         self.average = deepcopy(self.online)
         self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate, eps=1e-5)
@@ -166,7 +165,8 @@ class PpoTrainer(TaskTrainer):
     def observe(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> tuple[Tensor, ...]:
         """The inputs of the network, entries and features, and the masks of its actions."""
         seen = self.look({"grid": grids, "telemetry": telemetry})
-        arrays = seen["entries"], seen["features"], self.masks(seen["entries"])
+        masks = choices(seen["entries"], telemetry[:, 2] == 1, self.config.shield, self.config.rush)
+        arrays = seen["entries"], seen["features"], masks
         return tuple(torch.from_numpy(array) for array in arrays)
 
     @staticmethod

@@ -6,11 +6,21 @@ import pytest
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.batch import Batch
 from drone_env.core.cells import N_CELL_KINDS, Cell
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.forms import StopEntries
 from drone_env.planning.from_observation import read_observations
-from drone_env.planning.nearby import BUCKETS, COSTS, NEIGHBOURS, SPARES, UNITS, action_masks, bucket, entries_of
-from drone_env.planning.paths import cheapest_ways
+from drone_env.planning.nearby import (
+    BUCKETS,
+    COSTS,
+    ENTRIES,
+    NEIGHBOURS,
+    SPARES,
+    UNITS,
+    action_masks,
+    bucket,
+    entries_of,
+)
+from drone_env.planning.paths import UNIT_COST, cheapest_paths, cheapest_ways
 
 TASKS = ("medium", "skyline_easy", "skyline_hard", "rush_easy", "city_small")
 
@@ -20,17 +30,31 @@ def test_buckets_are_exact_up_to_fifteen() -> None:
     assert [bucket(number) for number in numbers] == [0, 0, *range(1, 17), 17, 17, 18, 23, 24, 24]
 
 
+def delivered(task: TaskConfig, cell: int, units: int, left: int, parcels: list[int]) -> int:
+    """Parcels that nearest neighbour delivers; of equally near ones, the first of the sorted `parcels`."""
+
+    def steps(parcel: int) -> int:
+        return sum(abs(a - b) for a, b in zip(divmod(cell, task.width), divmod(parcel, task.width), strict=True))
+
+    if not parcels or (nearest := min(map(steps, parcels))) > min(units, left):
+        return 0
+    parcel = min(parcels, key=steps)
+    rest = [other for other in parcels if other != parcel]
+    return 1 + delivered(task, parcel, units - nearest, left - nearest, rest)
+
+
 @pytest.mark.parametrize("name", TASKS)
 def test_the_entries_are_costs_first_actions_and_spare_units(name: str) -> None:
     """Each from the paths of the state, one stop at a time."""
     task, rng, n = get_task(name), np.random.default_rng(0), 4
-    look, batch = StopEntries(task), Batch(task, n)
+    look, batch = StopEntries(task, deliveries=True), Batch(task, n)
     batch.reset(np.arange(n))
     for _ in range(12):
         entries = look({"grid": batch.grids, "telemetry": batch.telemetry})["entries"]
         grounds, drones = read_observations(task, batch.grids, batch.telemetry)
-        for shown, ground, (cell, units, _), mask in zip(entries, grounds, drones, batch.action_masks, strict=True):
+        for shown, ground, (cell, units, left), mask in zip(entries, grounds, drones, batch.action_masks, strict=True):
             costs, first = cheapest_ways(task, ground, cell)
+            ways, _ = cheapest_paths(task, ground[None], np.array([cell]))
             pads, parcels = (np.flatnonzero(ground == kind).tolist() for kind in (Cell.PAD, Cell.DELIVERY))
             beside = enumerate(cell + np.array([-task.width, task.width, -1, 1]))
             expected = [NEIGHBOURS + a * N_CELL_KINDS + int(ground[to]) for a, to in beside if mask[a]]
@@ -42,7 +66,12 @@ def test_the_entries_are_costs_first_actions_and_spare_units(name: str) -> None:
                     back = [cost for cost in cheapest_ways(task, ground, stop)[0][pads].tolist() if cost >= 0]
                     spare = spare - min(back) if back else -1
                 row = ((stop in parcels) * N_ACTIONS + (4 if stop == cell else first[stop])) * BUCKETS
+                after, waits = units - costs[stop], 0
+                if stop in pads and after > 0:
+                    after, waits = task.battery_capacity, -(-(task.battery_capacity - after) // task.charge_rate)
+                done = delivered(task, stop, after, left - int(ways[0, stop] % UNIT_COST) - waits, parcels)
                 expected += [COSTS + row + bucket(costs[stop]), SPARES + row + bucket(spare)]
+                expected += [ENTRIES + row + bucket(done)]
             assert sorted(shown[shown > 0].tolist()) == sorted([UNITS + bucket(units), *expected])
         batch.step(np.where(batch.action_masks.astype(bool), rng.random((n, N_ACTIONS)), 0).argmax(axis=1))
 

@@ -22,7 +22,7 @@ from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.envs.forms import StopEntries
 from drone_env.errors import CheckpointError, UnsupportedTaskError
-from drone_env.planning.nearby import NEIGHBOURS, action_masks, safe_masks
+from drone_env.planning.nearby import NEIGHBOURS, choices
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.config import PPO_STEPS, ppo_preset
 from drone_env.rl.ppo import PpoTrainer
@@ -65,18 +65,36 @@ def test_it_flies_open_actions_on_train_maps_with_shaping_by_its_own_discount() 
 def test_with_safe_actions_alone_hardly_a_flight_runs_out_of_battery() -> None:
     """Whatever else it chooses: here it chooses at random."""
     task, seeds, rng = get_task("skyline_medium"), np.arange(200), np.random.default_rng(0)
-    look, stranded = StopEntries(task), dict[str, float]()
-    for name, masks_of in {"safe": safe_masks, "open": action_masks}.items():
+    look, stranded = StopEntries(task), dict[bool, float]()
+    for shield in (True, False):
 
-        def act(grids: Any, telemetry: Any, masks_of: Any = masks_of) -> Any:
-            masks = masks_of(look({"grid": grids, "telemetry": telemetry})["entries"])
+        def act(grids: Any, telemetry: Any, shield: bool = shield) -> Any:
+            masks = choices(look({"grid": grids, "telemetry": telemetry})["entries"], False, shield)
             return np.where(masks, rng.random(masks.shape), -1).argmax(axis=1)
 
         ends = rollout_batch(task, seeds, act, True)
-        stranded[name] = float(np.mean((ends.steps < task.max_steps) & (ends.deliveries_done < task.deliveries)))
-    assert stranded["safe"] < 0.03
-    assert stranded["open"] > 0.9
-    assert (safe_masks(np.array([[NEIGHBOURS]])) == [[True, False, False, False, True]]).all()
+        stranded[shield] = float(np.mean((ends.steps < task.max_steps) & (ends.deliveries_done < task.deliveries)))
+    assert stranded[True] < 0.03
+    assert stranded[False] > 0.9
+    assert choices(np.array([[NEIGHBOURS]]), False, shield=True).tolist() == [[True, False, False, False, True]]
+
+
+def test_on_rush_a_wait_charges_unless_nothing_else_is_open() -> None:
+    task, rng, waits = get_task("rush_medium"), np.random.default_rng(0), 0
+    look, batch = StopEntries(task, deliveries=True), Batch(task, 100, same_step=True)
+    batch.reset(np.arange(100))
+    for _ in range(30):
+        units = batch.telemetry[:, 2].copy()
+        entries = look({"grid": batch.grids, "telemetry": batch.telemetry})["entries"]
+        masks = choices(entries, batch.telemetry[:, 2] == 1, rush=True)
+        assert (masks[:, :4] == batch.action_masks[:, :4]).all()
+        actions = np.where(masks, rng.random(masks.shape) + np.eye(N_ACTIONS)[4], -1).argmax(axis=1)
+        batch.step(actions)
+        waited = (actions == 4) & masks[:, :4].any(axis=1) & ~batch.terminated
+        assert (batch.telemetry[waited, 2] > units[waited]).all()
+        waits += waited.sum()
+    assert waits > 20
+    assert choices(np.array([[0]]), np.ones(1, np.bool_), rush=True).tolist() == [[False] * 4 + [True]]
 
 
 def test_advantages_and_returns_are_those_of_the_paper() -> None:
@@ -163,9 +181,9 @@ def test_a_resumed_run_is_the_uninterrupted_one_bit_for_bit(tmp_path: Path) -> N
 # Its network without PyTorch, and the command
 
 
-@pytest.mark.parametrize("name", ["easy", "skyline_easy", "city_small"])
+@pytest.mark.parametrize("name", ["easy", "skyline_easy", "rush_easy", "city_small"])
 def test_the_network_without_torch_is_the_same(name: str, tmp_path: Path) -> None:
-    trainer, task = untrained(name), get_task(name)
+    trainer, task = untrained(name, rush=name == "rush_easy"), get_task(name)
     file = exported(trainer, tmp_path / "net.safetensors")
     trainer.average.load_state_dict(trainer.best)  # rounded to float16, as the file holds it
     assert file.stat().st_size < 2 * sum(map(torch.numel, trainer.average.parameters())) + 3_000
@@ -200,8 +218,8 @@ def test_the_shipped_policy_flies_as_its_card_says(task: TaskConfig) -> None:
 
 
 def test_the_shipped_policies_are_those_of_the_delivery_tasks_and_small() -> None:
-    assert {"easy", "medium", "hard"} <= {task.short_name for task in SHIPPED}
-    assert sum(shipped_network(task, "ppo").stat().st_size for task in SHIPPED) < 1_000_000
+    assert {"easy", "medium", "hard", "rush_easy"} <= {task.short_name for task in SHIPPED}
+    assert sum(shipped_network(task, "ppo").stat().st_size for task in SHIPPED) < 1_250_000
     with pytest.raises(UnsupportedTaskError, match=r"as in ppo:FILE, or train one first .*--algorithm ppo --task city"):
         make_agent("ppo", "city")
 
