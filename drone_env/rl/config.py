@@ -297,14 +297,14 @@ PPO_STEPS = {
     "hard_delivery": 200_000,
     "skyline_easy": 2_000_000,
 }
-"""Number of steps of PPO by task; other tasks take a million, those of rush half of it."""
+"""Number of steps of PPO by task; other tasks take a million, those of rush two."""
 
 
 def ppo_preset(task: str) -> PpoConfig:
     """The settings of PPO for a task."""
     known = get_task(task)
     rush, hidden = known.family == "rush", 128 if known.pads else 64
-    steps = PPO_STEPS.get(known.id, 500_000 if rush else 1_000_000)
+    steps = PPO_STEPS.get(known.id, 2_000_000 if rush else 1_000_000)
     shield = known.pads > 0 and not rush and known.id != "skyline_easy"  # on which PPO ends higher without it
     return PpoConfig(task=task, steps=steps, hidden=hidden, shield=shield, rush=rush)
 
