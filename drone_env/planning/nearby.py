@@ -17,7 +17,7 @@ from drone_env.core.rules import NONE, collision, manhattan
 from drone_env.core.tables import N_MOVES, Tables, tabulate
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.planning.from_observation import drone_positions
-from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, move_costs
+from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, move_costs, waits_until_full
 
 WAIT = int(Action.WAIT)
 EXACT, WIDTH, BUCKETS = 16, 4, 25
@@ -81,7 +81,6 @@ def entries_kernel(
     """
     from_drone, first, to_pad, unused, parcels = work[0], work[1], work[2], work[3], work[4]
     moves: Any = tables.moves
-    charge = -tables.drain[PAD_CELL * N_ACTIONS + WAIT]
     for i in range(len(grounds)):
         ground, drone, units, left = grounds[i], drones[i, 0], drones[i, 1], drones[i, 2]
         pads = waiting = 0
@@ -122,9 +121,9 @@ def entries_kernel(
             n += 2
             if deliveries:
                 after, later = units - cost, left - from_drone[cell] % UNIT_COST
-                if not is_parcel and after > 0 and charge > 0:
-                    later -= (tables.capacity - after + charge - 1) // charge
-                    after = tables.capacity
+                waits = waits_until_full(tables, after)
+                if not is_parcel and after > 0 and waits > 0:
+                    after, later = tables.capacity, later - waits
                 entries[i, n] = ENTRIES + row + bucket(deliveries_from(tables, cell, after, later, parcels, waiting))
                 n += 1
 

@@ -10,14 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import N_ACTIONS
-from drone_env.core.cells import DELIVERY_CELL
+from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
 from drone_env.core.compiled import jitable, kernel
 from drone_env.core.rules import NONE, collision
 from drone_env.core.tables import N_MOVES, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.states import require_memory
 
+WAIT = int(Action.WAIT)
 UNREACHED = 1 << 30
 NO_STOP = -1
 NO_PATH = 1 << 40
@@ -93,6 +94,13 @@ def least_units(tables: Tables, at_parcel: Any) -> int:
     The last step to a parcel may drain more than the battery has: the drone still delivers, and the number is negative.
     """
     return 1 - tables.drain[DELIVERY_CELL * N_ACTIONS] if at_parcel else 1
+
+
+@jitable
+def waits_until_full(tables: Tables, units: int) -> int:
+    """How many waits on a pad charge a battery from these units to its capacity; 0 if pads do not charge."""
+    charge = -tables.drain[PAD_CELL * N_ACTIONS + WAIT]
+    return (tables.capacity - units + charge - 1) // charge if charge > 0 else 0
 
 
 @jitable

@@ -17,7 +17,15 @@ from drone_env.core.compiled import jitable, kernel
 from drone_env.core.episode import Episode
 from drone_env.core.rules import score_of
 from drone_env.core.tables import N_MOVES, Tables, tabulate
-from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, least_units, move_costs
+from drone_env.planning.paths import (
+    NO_ACTION,
+    NO_PATH,
+    UNIT_COST,
+    find_costs,
+    least_units,
+    move_costs,
+    waits_until_full,
+)
 from drone_env.planning.states import require_memory, state_arrays
 
 WAIT = int(Action.WAIT)
@@ -189,8 +197,7 @@ def fly_to(stops: StopMap, flight: Flight, stop: int) -> Flight:
     if stop < stops.parcels:
         possible = left >= 0 and units >= least_units(stops.tables, True)
         return Flight(delivered, stop, max(units, 0), left) if possible else flight
-    charge = -stops.tables.drain[PAD_CELL * N_ACTIONS + WAIT]
-    waits = (stops.tables.capacity - units + charge - 1) // charge
+    waits = waits_until_full(stops.tables, units)
     if units <= 0 or left < waits or delivered == (1 << stops.parcels) - 1:
         return flight  # the last delivery ends the flight
     return Flight(delivered, stop, stops.tables.capacity, left - waits)
