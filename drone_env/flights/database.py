@@ -160,7 +160,7 @@ class Database:
         with self.lock:
             self.check()
             try:
-                self._begin()
+                self._insist(self._writer, "BEGIN IMMEDIATE")
                 with self._writer:
                     yield self._writer
             except sqlite3.Error as error:
@@ -196,12 +196,13 @@ class Database:
         with self.reading() as connection:
             connection.execute("PRAGMA wal_checkpoint").fetchall()
 
-    def _begin(self) -> None:
+    def _insist(self, connection: sqlite3.Connection, statement: str) -> None:
+        """Execute a statement that SQLite refuses while others write, until it succeeds or `BUSY_SECONDS` are over."""
         # After a failure nobody waits, so that all who wait for it fail together.
         until = monotonic() + (0 if self.failed else BUSY_SECONDS)
         while True:
             try:
-                self._writer.execute("BEGIN IMMEDIATE")
+                connection.execute(statement)
                 return
             except sqlite3.OperationalError as error:
                 if "is locked" not in str(error):
@@ -216,7 +217,8 @@ class Database:
         connection = sqlite3.connect(self.path, timeout=BUSY_SECONDS, isolation_level=None, check_same_thread=False)
         connection.row_factory = sqlite3.Row
         try:
-            connection.execute("PRAGMA journal_mode = WAL")
+            # Of two that change the mode at once SQLite refuses one without waiting: each holds what the other waits for.
+            self._insist(connection, "PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA synchronous = NORMAL")
             version = connection.execute("PRAGMA user_version").fetchone()[0]
             if version not in (0, VERSION):
