@@ -170,10 +170,9 @@ class Batch:
         reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         same_step: bool = False,
     ) -> None:
-        number = integer(num_envs)
-        if number is None or number < 1:
-            raise InvalidValueError(f"num_envs must be an integer of at least 1, got {num_envs!r}")
-        num_envs = number
+        given, num_envs = num_envs, integer(num_envs) or 0
+        if num_envs < 1:
+            raise InvalidValueError(f"num_envs must be an integer of at least 1, got {given!r}")
         self.task = get_task(task)
         self.num_envs = num_envs
         self.reward_profile = get_reward_profile(reward_profile)
@@ -208,6 +207,7 @@ class Batch:
         self._started = np.zeros(num_envs, np.bool_)
         self.started = False
         self._n_ended = np.zeros(1, np.int64)
+        self._task = np.array(bytearray(f"{self.task.id} (rules {self.task.digest})", "utf-8"))
         print_before_compiling()
         arguments: Any = (self.tables, self._rewards, self._buffers, self.seeds, np.uint64(num_envs), same_step)
         # Calling the compiled function itself skips Numba's dispatch, about 4 microseconds.
@@ -258,7 +258,7 @@ class Batch:
         self._n_ended[0] = n_ended
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:
-        """A snapshot of all episodes for `set_state`, as copies of arrays."""
+        """A snapshot of all episodes for `set_state`, as copies of arrays; `task` is the name of the task in UTF-8."""
         return {name: np.array(buffer) for name, buffer in self._arrays().items()}
 
     def set_state(self, state: Mapping[str, npt.NDArray[Any]]) -> None:
@@ -267,7 +267,9 @@ class Batch:
         Raises:
             InvalidValueError: if the snapshot does not fit this batch; nothing changes.
         """
-        arrays = self._arrays()
+        arrays, task = self._arrays(), state.get("task", self._task)
+        if not np.array_equal(task, self._task):
+            raise InvalidValueError(f"the snapshot is of {bytes(task).decode()}, not of {bytes(self._task).decode()}")
         for name, buffer in arrays.items():
             given = state.get(name)
             if given is None or given.shape != buffer.shape or given.dtype != buffer.dtype:
@@ -277,11 +279,10 @@ class Batch:
         self.started = bool(self._started.all())
 
     def _arrays(self) -> dict[str, npt.NDArray[Any]]:
-        return self._buffers._asdict() | {"has_started": self._started, "n_ended": self._n_ended}
+        return self._buffers._asdict() | {"has_started": self._started, "n_ended": self._n_ended, "task": self._task}
 
     def __getstate__(self) -> tuple[tuple[Any, ...], dict[str, npt.NDArray[Any]]]:
-        arguments = (self.task, self.num_envs, self.reward_profile, self.same_step)
-        return arguments, self.get_state()
+        return (self.task, self.num_envs, self.reward_profile, self.same_step), self.get_state()
 
     def __setstate__(self, state: tuple[tuple[Any, ...], dict[str, npt.NDArray[Any]]]) -> None:
         # Attributes are views of the buffers, so they must not be copied one by one.
@@ -296,12 +297,11 @@ class Batch:
 
     def finals(self) -> dict[str, npt.NDArray[Any]]:
         """Results of the episodes in `ended`: `score` (float64[k]), `steps`, `deliveries` and `seed` (int64[k])."""
-        buffers = self._buffers
         return {
-            "score": self._of_ended(buffers.final_scores),
-            "steps": self._of_ended(buffers.final_steps),
-            "deliveries": self._of_ended(buffers.final_deliveries),
-            "seed": self._of_ended(buffers.final_seeds),
+            "score": self._of_ended(self._buffers.final_scores),
+            "steps": self._of_ended(self._buffers.final_steps),
+            "deliveries": self._of_ended(self._buffers.final_deliveries),
+            "seed": self._of_ended(self._buffers.final_seeds),
         }
 
     @property

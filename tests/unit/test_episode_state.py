@@ -1,12 +1,17 @@
 """An episode as an object: its start, its snapshots, and what it refuses."""
 
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from drone_env.core.batch import Batch
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import next_seed
+from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError
+from tests.same import assert_same
 from tests.toy import fly, toy_episode
 
 
@@ -47,6 +52,18 @@ class TestState:
         with pytest.raises(InvalidValueError, match=f"{task}_delivery.*{profile}.*easy_delivery.*tiered"):
             episode.set_state(other.get_state())
         assert episode.get_state() == before
+
+    def test_a_batch_refuses_the_snapshot_of_another_task_and_of_other_rules_by_their_names(self) -> None:
+        easy = get_task("easy")
+        batches = [Batch(task, 2) for task in (easy, replace(easy, max_steps=9), replace(easy, id="mine"))]
+        for batch in batches:
+            batch.reset(np.arange(2))
+        before = batches[0].get_state()
+        for other in batches[1:]:
+            name = f"{other.task.id} .rules {other.task.digest}., not of easy_delivery .rules {easy.digest}"
+            with pytest.raises(InvalidValueError, match=name):
+                batches[0].set_state(other.get_state())
+        assert_same(batches[0].get_state(), before)
 
     def test_observation_is_a_copy(self) -> None:
         episode = toy_episode(["@0", ".."])
