@@ -154,8 +154,10 @@ def infer(
         except KeyboardInterrupt:
             print(f"interrupted; to continue, {to_resume}", file=sys.stderr)
             raise
-        resume = [] if verdict == "valid" else [f"to continue, {to_resume}"]
-        print(*runner.summary_lines(flown), f"run: {path}", *resume, sep="\n", file=sys.stderr)
+        # A resume has the same options, which may be why there is no answer.
+        fresh = "nothing was answered: begin a new run, with other options if these are rejected"
+        advice = [] if verdict == "valid" else [f"to continue, {to_resume}" if flown.budget.answers else fresh]
+        print(*runner.summary_lines(flown), f"run: {path}", *advice, sep="\n", file=sys.stderr)
         return runner.EXIT_STATUS[verdict]
 
 

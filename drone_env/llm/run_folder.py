@@ -140,9 +140,8 @@ def locked_run(path: Path, config: RunConfig, resume: bool) -> Generator[None, N
     path.mkdir(parents=True, exist_ok=True)
     with locked(path / "lock", f"another process is working on the run in {path}"):
         if (path / CONFIG).exists():
-            changed = differences(dict(load_config(path)), dict(config))
-            if changed:
-                raise InvalidValueError(f"the run in {path} has another configuration: {'; '.join(changed)}")
+            if changed := "; ".join(differences(dict(load_config(path)), dict(config))):
+                raise InvalidValueError(f"the run in {path} has another configuration: {changed}; begin a new run")
         else:
             write_text(path / CONFIG, config.model_dump_json(indent=2) + "\n")
         yield

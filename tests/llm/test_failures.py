@@ -28,6 +28,8 @@ def test_what_the_first_call_is_refused_for_stops_the_run(endpoint: Start, fault
     assert [flight.status for flight in done.flights] == ["errored"]
     (lines,) = blocks(done.out)
     assert lines[-1] == "[END] success=false steps=0 score=null rewards="
+    # The same options could be rejected again.
+    assert done.err.endswith("nothing was answered: begin a new run, with other options if these are rejected\n")
     verified(done)
 
 
