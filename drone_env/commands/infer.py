@@ -154,10 +154,10 @@ def infer(
         except KeyboardInterrupt:
             print(f"interrupted; to continue, {to_resume}", file=sys.stderr)
             raise
-        # A resume has the same options, which may be why there is no answer.
-        fresh = "nothing was answered: begin a new run, with other options if these are rejected"
-        advice = [] if verdict == "valid" else [f"to continue, {to_resume}" if flown.budget.answers else fresh]
-        print(*runner.summary_lines(flown), f"run: {path}", *advice, sep="\n", file=sys.stderr)
+        advice = f"to continue, {to_resume}{' and a higher limit' * (verdict == 'incomplete')}"
+        if not flown.budget.answers:  # a resume has the same options, which may be the reason
+            advice = "nothing was answered: begin a new run, with other options if these are rejected"
+        print(*runner.summary_lines(flown), f"run: {path}", *[advice] * (verdict != "valid"), sep="\n", file=sys.stderr)
         return runner.EXIT_STATUS[verdict]
 
 
@@ -221,5 +221,4 @@ def _config(run: RunOptions, sampling: SamplingOptions, settings: "InferenceSett
 
 def _new_folder(runs: Path, model: str, task: str) -> Path:
     name = "".join(letter if letter.isalnum() or letter in ".-_" else "-" for letter in model[:50])
-    now = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S-%f")
-    return runs / f"{now}-{task}-{name}"
+    return runs / f"{datetime.now(timezone.utc):%Y%m%d-%H%M%S-%f}-{task}-{name}"

@@ -179,7 +179,7 @@ def in_common(faults: Sequence[Reading]) -> str:
         return ""
     (kind, count), *_ = Counter(fault.kind for fault in faults).most_common()
     example = next(fault for fault in faults if fault.kind == kind)
-    advice = "; raise --max-answer-tokens" if kind == "truncated" else ""
+    advice = "; raise it: --max-answer-tokens or --max-completion-tokens" if kind == "truncated" else ""
     text = repr(" ".join(example.text.split())[:EXAMPLE_CHARACTERS])
     return f"{count} of {len(faults)} unusable answers are {kind}, such as {text}: {example.reason}{advice}"
 

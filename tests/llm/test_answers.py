@@ -131,7 +131,7 @@ def test_what_unusable_answers_have_in_common() -> None:
     assert in_common([read_answer(Answer(text=text), plan=False) for text in texts]) == (
         "2 of 3 unusable answers are parse_error, such as 'Let us go up!': the answer is not one action"
     )
-    assert in_common([read_answer(Answer(text="<think>Hm."), plan=False)]).endswith("; raise --max-answer-tokens")
+    assert in_common([read_answer(Answer(text="<think>Hm."), plan=False)]).endswith("or --max-completion-tokens")
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,7 @@ def test_a_run_changes_its_requests_and_stays_true(endpoint: Start) -> None:
     told = first.err.splitlines()[:3]
     assert [line.partition(":")[0] for line in told] == parts, first.err
     assert told[0].endswith(f": the endpoint returned 400: {USE_OTHER}")
+    assert first.err.endswith("--resume and a higher limit\n")
     done = scripted.infer(*run, "--resume", folder=first.folder)
     assert (done.status, "is sent" in done.err) == (0, False), "each change is printed once"
     bodies = [request["body"] for request in scripted.requests()]
