@@ -349,8 +349,8 @@ class Episode:
         """
         if state.task != self.task or state.reward_profile != self.reward_profile:
             raise InvalidValueError(
-                f"the snapshot is of {state.task.id!r} with rewards {state.reward_profile.id!r}; "
-                f"this episode flies {self.task.id!r} with {self.reward_profile.id!r}"
+                f"the snapshot is of {state.task.id} (rules {state.task.digest}, rewards {state.reward_profile.id}), "
+                f"not of {self.task.id} (rules {self.task.digest}, rewards {self.reward_profile.id})"
             )
         self._seed = state.seed
         self._state = view(self._state_array)
