@@ -217,7 +217,7 @@ class Database:
         connection = sqlite3.connect(self.path, timeout=BUSY_SECONDS, isolation_level=None, check_same_thread=False)
         connection.row_factory = sqlite3.Row
         try:
-            # Of two that change the mode at once SQLite refuses one without waiting: each holds what the other waits for.
+            # If two change the mode at once, SQLite refuses one without waiting: each holds what the other waits for.
             self._insist(connection, "PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA synchronous = NORMAL")
             version = connection.execute("PRAGMA user_version").fetchone()[0]
