@@ -146,7 +146,6 @@ class TrainingRun:
                 earlier = next(path for n in count(1) if not (path := Path(f"{self.checkpoint}.{n}")).exists())
                 self.checkpoint.replace(earlier)
                 print(f"the earlier training is kept as {earlier}", file=sys.stderr)
-            self.results.mkdir(parents=True, exist_ok=True)
             self._write_config()
             self._since = monotonic()
             saved_at, saved_done = self._since if self.resumed else None, self.done
