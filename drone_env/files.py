@@ -116,22 +116,25 @@ def append_line(file: FileIO, line: str) -> None:
 
 @contextmanager
 def locked(path: Path, taken: str) -> Generator[None, None, None]:
-    """Hold an exclusive lock on a file, which is created, until the end of the `with` or of this process.
+    """Hold an exclusive lock on a file until the end of the `with` or of this process; file and folders are made.
 
     Args:
         path: The file.
         taken: The error message if another process holds the lock.
 
     Raises:
-        InvalidValueError: if another process holds the lock.
+        InvalidValueError: if another process holds the lock, or has just removed its folder.
         OSError: if the file cannot be created.
     """
     from filelock import FileLock, Timeout  # slow to load, and seldom needed
 
     lock = FileLock(path, timeout=0, mode=0o600, thread_local=False)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()
-    except Timeout:
+    except (Timeout, FileNotFoundError, FileExistsError):
+        if path.parent.is_file():
+            raise
         raise InvalidValueError(taken) from None
     try:
         yield
@@ -147,11 +150,12 @@ def is_begun(folder: Path, config: str, what: str) -> bool:
     """
     if folder.exists() and not folder.is_dir():
         raise InvalidValueError(f"{folder} is a file; {what} needs a folder")
-    if (folder / config).exists():
-        return True
-    if folder.is_dir() and any(entry.name != "lock" and entry.suffix != ".part" for entry in folder.iterdir()):
+    # The config last: another process may begin meanwhile, and the other files come after it.
+    names = os.listdir(folder) if folder.exists() else []
+    begun = (folder / config).exists()
+    if not begun and any(name != "lock" and not name.endswith(".part") for name in names):
         raise InvalidValueError(f"{folder} contains other files than {what}: name a new folder")
-    return False
+    return begun
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:

@@ -70,14 +70,13 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
     """
     if not out.name or not out.parent.is_dir():
         raise InvalidValueError(f"a dataset needs a folder in an existing one, got {str(out)!r}")
-    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-        raise InvalidValueError(f"{out} exists and is not an empty folder: name another")
     # In the same file system, so that the final move is one atomic step. The next run removes what a killed one leaves.
     part = out.with_name(f"{out.name}.part")
-    part.mkdir(exist_ok=True)
+    folder = part / "dataset"
     with locked(part / "lock", f"another process is writing {out}"):
         try:
-            folder = part / "dataset"
+            if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+                raise InvalidValueError(f"{out} exists and is not an empty folder: name another")
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()
             rows = _write(config, folder, on_map)
@@ -85,7 +84,9 @@ def build_dataset(config: DatasetConfig, out: Path, on_map: Callable[[], object]
                 out.rmdir()
             folder.rename(out)
         finally:
-            shutil.rmtree(part)
+            # `part` last: as soon as this lock is removed, another process may begin, and then it stays.
+            for path in (folder, part):
+                shutil.rmtree(path, ignore_errors=True)
     return rows
 
 

@@ -49,7 +49,7 @@ class Prompt(StrictModel):
     """One version of a prompt: the fields of its file, and what identifies it."""
 
     id: str = Field(description="Name and version, such as `minimal-2`.")
-    digest: str = Field(description="SHA-256 of the file and all parts, 16 hex digits.")
+    digest: str = Field(description="SHA-256 of the file and the parts that it includes, 16 hex digits.")
     own: str | None = Field(description="The text of a file that is not part of the package.")
     format: Literal[1]
     plan: bool = Field(description="Whether it asks for a whole route.")
@@ -154,7 +154,7 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
     Raises:
         InvalidValueError: if it is not a prompt.
     """
-    digest = hashlib.sha256("".join([text, *_parts().values()]).encode()).hexdigest()[:16]
+    digest = hashlib.sha256(_with_parts(text).encode()).hexdigest()[:16]
     identity = {"id": Path(path).stem, "digest": digest, "own": text if own else None}
     try:
         prompt = Prompt.model_validate({**parse_toml(text), **identity})
@@ -172,6 +172,11 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
 def _parts() -> dict[str, str]:
     """The texts that prompts may include, by file name."""
     return {path.name: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("parts/*.j2"))}
+
+
+def _with_parts(text: str) -> str:
+    """The text, and behind it those of the parts that it names, and that these name in turn."""
+    return text + "".join(_with_parts(part) for name, part in _parts().items() if name in text)
 
 
 @lru_cache(maxsize=1)

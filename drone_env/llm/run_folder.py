@@ -137,7 +137,6 @@ def locked_run(path: Path, config: RunConfig, resume: bool) -> Generator[None, N
     begun = is_begun(path, CONFIG, "a run")
     if begun and not resume:
         raise InvalidValueError(f"{path} contains a run: add --resume to continue it, or name a new folder")
-    path.mkdir(parents=True, exist_ok=True)
     with locked(path / "lock", f"another process is working on the run in {path}"):
         if (path / CONFIG).exists():
             if changed := "; ".join(differences(dict(load_config(path)), dict(config))):

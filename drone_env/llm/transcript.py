@@ -77,7 +77,6 @@ class Transcript:
     """
 
     def __init__(self, path: Path) -> None:
-        path.touch()
         self.calls = read_calls(path)
         self._file = path.open("ab", buffering=0)
         self._file.truncate(sum(len(line) for _, line in _whole_lines(path)))

@@ -66,9 +66,7 @@ class ResultsFolder:
             if changed := {*stored.keys} ^ {*keys}:
                 raise InvalidValueError(f"{path} holds another evaluation: only one of the two has {min(changed)}")
         else:
-            path.mkdir(parents=True, exist_ok=True)
             write_json(path / CONFIG, config.model_dump())
-        self._chunks.mkdir(exist_ok=True)
 
     def load(self, key: EpisodesKey) -> Results | None:
         """Return the results of a chunk; None if it is missing."""

@@ -95,18 +95,20 @@ class TrainingRun:
         self.log = data / "train.log"
         self.network = data / f"{self.name}.safetensors"
         self.results = results / self.name
-        self.resumed = not fresh and self.checkpoint.exists()
         self.stopped = False
         """Set it to end the run after the current step."""
         self._seconds, self._since = 0.0, monotonic()
-        if self.resumed:
-            self._resume()
+        self.resumed = not fresh and self._resume()
 
-    def _resume(self) -> None:
+    def _resume(self) -> bool:
+        """Continue from the checkpoint, if there is one."""
         try:
             state = load_checkpoint(self.checkpoint)
             self.trainer.set_state(state)
             self._seconds = state["seconds"]
+            return True
+        except FileNotFoundError:
+            return False
         except OSError:
             raise
         except Exception as error:  # parts of another network or run raise many types
@@ -138,14 +140,12 @@ class TrainingRun:
             InvalidValueError: if another process trains in the same folder, or if the weights are no longer finite.
         """
         trainer, config, data = self.trainer, self.trainer.config, self.log.parent
-        data.mkdir(parents=True, exist_ok=True)
         message = f"another process is training in {data}: wait for its end, or add --data FOLDER"
         with locked(data / "train.lock", message):
             if not self.resumed and self.checkpoint.exists():
                 earlier = next(path for n in count(1) if not (path := Path(f"{self.checkpoint}.{n}")).exists())
                 self.checkpoint.replace(earlier)
                 print(f"the earlier training is kept as {earlier}", file=sys.stderr)
-            self.results.mkdir(parents=True, exist_ok=True)
             self._write_config()
             self._since = monotonic()
             saved_at, saved_done = self._since if self.resumed else None, self.done

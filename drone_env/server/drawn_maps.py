@@ -48,7 +48,6 @@ class DrawnMaps:
             StoreError: if the map cannot be written.
         """
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
             write_text(self._file(name), text)
         except OSError as error:
             raise StoreError(f"the map could not be stored: {error.strerror}") from error

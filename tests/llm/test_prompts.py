@@ -10,7 +10,8 @@ import pytest
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.llm.prompt import FOLDER, get_prompt, prompt_ids, read_prompt
+from drone_env.llm import prompt as prompt_module
+from drone_env.llm.prompt import FOLDER, get_prompt, parse_prompt, prompt_ids, read_prompt
 
 from .conftest import Start, verified
 from .test_prompts_suffice import ODD, texts_of
@@ -54,6 +55,19 @@ def test_published_prompts_stay_as_they_were_to_the_byte() -> None:
             texts += texts_of(prompt, episode)
         shown[prompt.id] = hashlib.sha256("\n\n".join(texts).encode()).hexdigest()[:16]
     assert shown == GOLDEN
+
+
+def test_the_digest_covers_the_parts_that_a_prompt_includes_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = {"a.j2": '{% include "b.j2" %}', "b.j2": "{{ x }}", "c.j2": "{{ y }}"}
+    text = "format = 1\nplan = false\nuser = '{% include \"a.j2\" %}'\nrepair = ''"
+
+    def digest(**changed: str) -> str:
+        now = {**parts, **{f"{name}.j2": part for name, part in changed.items()}}
+        monkeypatch.setattr(prompt_module, "_parts", lambda: now)
+        return parse_prompt.__wrapped__("mine.toml", text, own=False).digest
+
+    assert digest(c="{{ step }}", d="{{ x }}") == digest()
+    assert len({digest(), digest(a='{% include "b.j2" %}.'), digest(b="{{ y }}")}) == 3
 
 
 def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:

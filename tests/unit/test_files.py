@@ -2,7 +2,9 @@
 
 import tracemalloc
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -11,8 +13,8 @@ from drone_env.agents.ppo import load_actor
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.city.city_file import read_city
 from drone_env.city.openstreetmap import import_city
-from drone_env.errors import DroneEnvError
-from drone_env.files import append_line, write_text
+from drone_env.errors import DroneEnvError, InvalidValueError
+from drone_env.files import append_line, is_begun, locked, write_text
 from drone_env.flights.record import load_record, read_records
 from drone_env.llm.prompt import read_prompt
 from drone_env.llm.run_folder import load_config
@@ -91,3 +93,28 @@ def test_a_line_that_finds_no_room_is_taken_back(tmp_path: Path) -> None:
             append_line(file, "second")
         append_line(file, "third")
     assert (tmp_path / "lines").read_text() == "first\nthird\n"
+
+
+@pytest.mark.parametrize("look", [0, 1])
+def test_a_folder_in_which_another_process_begins_meanwhile_has_no_other_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, look: int
+) -> None:
+    exists, looks = Path.exists, count()
+
+    def begins(path: Path) -> bool:
+        there = exists(path)
+        if next(looks) == look:
+            (tmp_path / "run.json").touch()
+        return there
+
+    monkeypatch.setattr(Path, "exists", begins)
+    is_begun(tmp_path, "run.json", "a run")
+
+
+@pytest.mark.parametrize("error", [None, FileExistsError])
+def test_a_lock_whose_folder_another_process_has_just_removed_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[OSError] | None
+) -> None:
+    monkeypatch.setattr(Path, "mkdir", Mock(side_effect=error))
+    with pytest.raises(InvalidValueError, match="taken"), locked(tmp_path / "gone" / "lock", "taken"):
+        pass
