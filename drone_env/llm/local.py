@@ -49,7 +49,7 @@ class LocalModel:
         transformers.utils.logging.disable_progress_bar()
         try:
             self.tokenizer = transformers.AutoTokenizer.from_pretrained(folder, padding_side="left", **files)
-            self.model = transformers.AutoModelForCausalLM.from_pretrained(folder, dtype=dtype, **files)
+            self.model: Any = transformers.AutoModelForCausalLM.from_pretrained(folder, dtype=dtype, **files)
         except (OSError, ValueError, ImportError) as error:
             raise InvalidValueError(f"{folder} is not a model that transformers reads: {error}") from None
         self.model = self.model.to("cuda" if torch.cuda.is_available() else "cpu").eval()
