@@ -16,7 +16,7 @@ import math
 import random
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.util import find_spec
@@ -51,9 +51,7 @@ TINY_TEMPLATE = """
 {%- if add_generation_prompt %} <answer>{% endif %}"""
 """The chat of the tiny model, which learns only one task: without the system message."""
 Example = tuple[list[int], dict[tuple[int, ...], float]]
-"""The tokens of a request, and what each answer loses, by its tokens."""
-NEXT_SHARE, NEXT_TEMPERATURE = 0.5, 0.03
-"""Share in the loss, and temperature, of each answer to learn after the first."""
+"""The tokens of a request, and the probability of each answer to learn, by its tokens."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,6 @@ class Options:
     epochs: float = 1.0  # passes over the answers
     minutes: float | None = None  # train for CPU-minutes instead (minutes on a GPU); 0 saves the model as it is
     temperature: float = 0.002  # an answer that loses this much score is 1/e times as likely as a best one
-    ranks: int = 1  # answers to learn per request: a best one, then the best of the others, and so on
     batch: int = 16  # answers per gradient step
     lr: float | None = None  # learning rate; default: 0.001 for a million parameters, less for more
     rewards: tuple[Reward, ...] = ("score", "regret", "rank")  # rewards of GRPO to compare
@@ -93,7 +90,7 @@ class Options:
 
 
 QUICK = {"answers": 32, "grpo_steps": 2, "grpo_batch": 2, "generations": 2, "grpo_seeds": 1}
-TRAINING = "data model seed layers lora answers epochs minutes temperature ranks batch lr"
+TRAINING = "data", "model", "seed", "layers", "lora", "answers", "epochs", "minutes", "temperature", "batch", "lr"
 """Options that a resumed training must share with its start."""
 
 
@@ -214,17 +211,16 @@ def request_of(tokenizer: Any, messages: Sequence[Any]) -> list[int]:
 def example_of(options: Options, tokenizer: Any, row: dict[str, Any]) -> Example:
     """The tokens of a row of the data."""
     *request, last = row["messages"]
-    losses, end = {last["content"]: 0.0}, end_tokens(tokenizer)  # a whole route is one answer
+    shares, end = {last["content"]: 1.0}, end_tokens(tokenizer)  # a whole route is one answer
     if last["content"] in row["options"]:
-        losses = dict(zip(row["options"], row["regrets"][0], strict=True))
-    tokens = {text: tokenizer(text, add_special_tokens=False).input_ids for text in losses}
-    return request_of(tokenizer, request), {(*tokens[text], *end): loss for text, loss in losses.items()}
-
-
-def shares_of(answers: Mapping[tuple[int, ...], float], temperature: float) -> dict[tuple[int, ...], float]:
-    """The probability of each answer to learn, from what it loses."""
-    likely = np.exp((min(answers.values()) - np.array(list(answers.values()))) / temperature)
-    return {answer: share for answer, share in zip(answers, likely / likely.sum(), strict=True) if share > 0.001}
+        likely = np.exp(-np.array(row["regrets"][0]) / options.temperature)
+        shares = dict(zip(row["options"], likely / likely.sum(), strict=True))
+    answers = {
+        (*tokenizer(text, add_special_tokens=False).input_ids, *end): share
+        for text, share in shares.items()
+        if share > 0.001
+    }
+    return request_of(tokenizer, request), answers
 
 
 def batches(options: Options, data: Sequence[dict[str, Any]]) -> Iterator[list[dict[str, Any]]]:
@@ -239,31 +235,24 @@ def batches(options: Options, data: Sequence[dict[str, Any]]) -> Iterator[list[d
             yield [data[i] for i in found[number]]
 
 
-def loss_of(options: Options, model: Any, batch: Sequence[Example], rng: random.Random) -> torch.Tensor:
+def loss_of(model: Any, batch: Sequence[Example], rng: random.Random) -> torch.Tensor:
     """The mean divergence of the model's answers from those to learn.
 
-    The model reads one of them, and after it, up to `ranks`, one of the best that are left: a request tells more about
-    its answers than which is best. The targets of each token are all tokens that can follow. Only these positions pass
+    The model reads one of them; the targets of each token are all tokens that can follow. Only these positions pass
     through the head, which is as large as many layers. No mask is necessary: the padding comes last.
     """
     inputs, targets, entropy = [], [], 0.0
     for number, (request, answers) in enumerate(batch):
-        tokens, left, weight, temperature = list(request), dict(answers), 1.0, options.temperature
-        while left and len(answers) - len(left) < options.ranks:
-            shares = shares_of(left, temperature)
-            (read,) = rng.choices(list(shares), list(shares.values()))
-            for place, following in enumerate(read):
-                likely = Counter[int]()
-                for answer, share in shares.items():
-                    if answer[:place] == read[:place]:
-                        likely[answer[place]] += share
-                for token, share in ((token, share / likely.total()) for token, share in likely.items()):
-                    targets.append((number, len(tokens) - 1, token, weight * share))
-                    entropy -= weight * share * math.log(share)
-                tokens.append(following)
-            del left[read]
-            weight, temperature = NEXT_SHARE, NEXT_TEMPERATURE
-        inputs.append(tokens[:-1])
+        (read,) = rng.choices(list(answers), list(answers.values()))
+        inputs.append([*request, *read[:-1]])
+        for place in range(len(read)):
+            following = Counter[int]()
+            for answer, share in answers.items():
+                if answer[:place] == read[:place]:
+                    following[answer[place]] += share
+            for token, share in ((token, share / following.total()) for token, share in following.items()):
+                targets.append((number, len(request) - 1 + place, token, share))
+                entropy -= share * math.log(share)
     longest = max(map(len, inputs))
     tokens = torch.tensor([row + [0] * (longest - len(row)) for row in inputs], device=DEVICE)
     number, place, token, share = (torch.tensor(column, device=DEVICE) for column in zip(*targets, strict=True))
@@ -277,7 +266,7 @@ def fine_tune(options: Options) -> None:
     """Train on optimal answers, and save the model in the folder `name`."""
     out, clock = options.out / options.name, time.process_time if DEVICE == "cpu" else time.monotonic
     path, part = out / "checkpoint.pt", out / "checkpoint.part"
-    settings = {key: str(value) for key, value in asdict(options).items() if key in TRAINING.split()}
+    settings = {key: str(value) for key, value in asdict(options).items() if key in TRAINING}
     saved = torch.load(path, weights_only=True) if path.exists() else None
     known = saved or results(options).get(options.name)
     if known and known["settings"] != settings:
@@ -309,7 +298,7 @@ def fine_tune(options: Options) -> None:
         if progress >= 1:
             break
         examples = [example_of(options, tokenizer, row) for row in batch]
-        loss = loss_of(options, model, examples, random.Random(f"{options.seed} {step}"))
+        loss = loss_of(model, examples, random.Random(f"{options.seed} {step}"))
         training.step(loss, training.rate, step, progress)
         losses.append(loss.item())
         state["step"], state["answers"] = step + 1, state["answers"] + len(batch)

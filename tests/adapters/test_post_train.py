@@ -132,34 +132,25 @@ def test_the_loss_is_the_divergence_from_all_answers_to_learn(post_train: Any) -
 
     logits = torch.full((8,), -1e9)
     logits[[3, 4, 5]] = 0.0
-    layers = lambda **_: SimpleNamespace(last_hidden_state=torch.zeros(1, 6, 2))  # noqa: E731
+    layers = lambda **_: SimpleNamespace(last_hidden_state=torch.zeros(1, 4, 2))  # noqa: E731
     head = lambda hidden: logits.expand(len(hidden), 8)  # noqa: E731
     model = SimpleNamespace(get_decoder=lambda: layers, get_output_embeddings=lambda: head)
-    options = post_train.Options(data=Path())
-    answers = {(3, 5): math.log(2) * options.temperature, (3, 4): math.log(2) * options.temperature, (4, 5): 0.0}
+    answers = {(3, 5): 0.25, (3, 4): 0.25, (4, 5): 0.5}
     first = math.log(3) - math.log(2)  # from 1/2, 1/2 to 1/3, 1/3, 1/3
     second = {3: math.log(3) - math.log(2), 4: math.log(3)}
-
-    def losses(options: Any, answers: Any) -> set[float]:
-        seeded = map(random.Random, range(20))
-        return {round(float(post_train.loss_of(options, model, [([1, 2], answers)], rng)), 5) for rng in seeded}
-
-    assert losses(options, answers) == {round(first + loss, 5) for loss in second.values()}
-    # Then the answer that is left, of tokens that are certain.
-    both = post_train.replace(options, ranks=2)
-    whole = {(3, 5): 0.0, (4, 3): 1.0}
-    assert losses(both, whole) == {round(2 * math.log(3) * (1 + post_train.NEXT_SHARE), 5)}
+    losses = {round(float(post_train.loss_of(model, [([1, 2], answers)], random.Random(n))), 5) for n in range(20)}
+    assert losses == {round(first + loss, 5) for loss in second.values()}
 
 
 def test_words_that_all_requests_share_are_read_once_and_change_no_loss(post_train: Any, data: Path) -> None:
-    options = post_train.Options(data=data, ranks=3)
+    options = post_train.Options(data=data)
     model, tokenizer = post_train.tiny_model(options)
     first, *others = [post_train.example_of(options, tokenizer, row) for row in post_train.rows(options)[:3]]
     batch = [([*first[0][:9], *request], answers) for request, answers in (first, *others)]
     assert post_train.read_shared(model, [request for request, _ in batch])[0] >= 9
-    together = post_train.loss_of(options, model, batch, random.Random(0))
+    together = post_train.loss_of(model, batch, random.Random(0))
     rng = random.Random(0)
-    alone = [post_train.loss_of(options, model, [example], rng) for example in batch]
+    alone = [post_train.loss_of(model, [example], rng) for example in batch]
     assert together.item() == pytest.approx(sum(alone).item() / 3, abs=1e-5)
 
 
