@@ -154,10 +154,12 @@ def infer(
         except KeyboardInterrupt:
             print(f"interrupted; to continue, {to_resume}", file=sys.stderr)
             raise
-        advice = f"to continue, {to_resume}{' and a higher limit' * (verdict == 'incomplete')}"
-        if not flown.budget.answers:  # a resume has the same options, which may be the reason
-            advice = "nothing was answered: begin a new run, with other options if these are rejected"
-        print(*runner.summary_lines(flown), f"run: {path}", *[advice] * (verdict != "valid"), sep="\n", file=sys.stderr)
+        lines = [*runner.summary_lines(flown), f"run: {path}"]
+        if verdict != "valid" and not flown.budget.answers:  # a resume has the same options, which may be the reason
+            lines.append("nothing was answered: begin a new run, with other options if these are rejected")
+        elif verdict != "valid":
+            lines.append(f"to continue, {to_resume}{' and a higher limit' if verdict == 'incomplete' else ''}")
+        print(*lines, sep="\n", file=sys.stderr)
         return runner.EXIT_STATUS[verdict]
 
 
