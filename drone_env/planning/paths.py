@@ -98,7 +98,7 @@ def least_units(tables: Tables, at_parcel: Any) -> int:
 
 @jitable
 def waits_until_full(tables: Tables, units: int) -> int:
-    """How many waits on a pad charge a battery from these units to its capacity; 0 if pads do not charge."""
+    """The number of waits on a pad until a battery with these units is full; 0 if pads do not charge."""
     charge = -tables.drain[PAD_CELL * N_ACTIONS + WAIT]
     return (tables.capacity - units + charge - 1) // charge if charge > 0 else 0
 
