@@ -60,3 +60,13 @@ class TestHello:
 def test_the_bundle_is_current() -> None:
     with (page_files.BUNDLE / "main.js").open(encoding="utf-8") as file:
         assert file.readline() == f"// {page_files.sources_digest()}\n", "make bundle writes it again"
+
+
+def test_what_it_preloads_is_served_and_used(shared_client: TestClient) -> None:
+    """The browser warns of a file that is not used, but also of one that a busy machine uses late."""
+    files = re.findall(r'rel="preload" href="([^"]+)"[^>]* crossorigin>', shared_client.get("/").text)
+    used = "".join((page_files.BUNDLE / name).read_text("utf-8") for name in ("page.css", "main.js"))
+    assert len(files) == 3
+    for file in files:
+        assert shared_client.get(f"/{file}").status_code == 200
+        assert f"../{file.removeprefix('static/')}" in used

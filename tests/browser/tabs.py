@@ -81,7 +81,10 @@ class Tabs:
         return found
 
     def _on_console(self, message: ConsoleMessage) -> None:
-        if message.type in ("error", "warning") and "was preloaded using link preload" not in message.text:
+        if (
+            message.type in ("error", "warning")
+            and "preloaded using link preload but not used within a few seconds" not in message.text
+        ):
             self.complaints.append(f"console {message.type}: {message.text} ({message.location.get('url', '')})")
 
     def _on_response(self, response: Response) -> None:
