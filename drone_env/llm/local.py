@@ -108,10 +108,14 @@ class LocalModel:
             options = {name: value for name, value in request.items() if name != "messages"}
             groups.setdefault(json.dumps(options, sort_keys=True), {})[number] = tokens
         for options, group in groups.items():
-            try:
-                found |= dict(zip(group, self._generate([*group.values()], json.loads(options)), strict=True))
-            except (ValueError, TypeError, RuntimeError) as error:
-                found |= dict.fromkeys(group, TryFailedError(0, f"{type(error).__name__}: {error}", fatal=True))
+            size = 16 if self.model.device.type == "cpu" else len(group)  # a processor also computes the padding
+            order = sorted(group, key=lambda number: len(group[number]))
+            for part in (order[start : start + size] for start in range(0, len(order), size)):
+                try:
+                    answers = self._generate([group[number] for number in part], json.loads(options))
+                    found |= dict(zip(part, answers, strict=True))
+                except (ValueError, TypeError, RuntimeError) as error:
+                    found |= dict.fromkeys(part, TryFailedError(0, f"{type(error).__name__}: {error}", fatal=True))
         for number, answer in found.items():
             if isinstance(answer, Answer) and not requests[number].get("temperature"):
                 self._answered[keys[number]] = answer

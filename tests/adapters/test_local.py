@@ -89,7 +89,7 @@ def answers(run: Path) -> dict[tuple[int, int, int], Any]:
 def test_a_batch_answers_as_the_model_does_one_request_at_a_time(name: str, request: pytest.FixtureRequest) -> None:
     folder: Path = request.getfixturevalue(name)
     local, alone = LocalModel(folder, "float32"), AutoModelForCausalLM.from_pretrained(folder, dtype=torch.float32)
-    sent = requests(6)
+    sent = requests(20)  # more than a batch of the processor
     texts = [" ".join(message["content"] for message in request["messages"]) + " " for request in sent]
     tokens = local.tokenizer(texts).input_ids
     assert len({len(one) for one in tokens}) > 1
