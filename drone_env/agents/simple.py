@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.base import StatelessAgent
-from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.actions import N_ACTIONS, WAIT, Action
 from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.episode import Observation
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
@@ -15,7 +15,7 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.planning.from_observation import drone_positions
 
 KEY = task_key("agent/random", 1)
-UP, LEFT, WAIT = int(Action.UP), int(Action.LEFT), int(Action.WAIT)
+UP, LEFT = int(Action.UP), int(Action.LEFT)
 """DOWN is UP + 1, RIGHT is LEFT + 1."""
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.actions import N_ACTIONS, WAIT
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
 from drone_env.core.compiled import jitable, kernel
 from drone_env.core.rules import units_left
@@ -19,7 +19,6 @@ from drone_env.errors import InvalidValueError
 from drone_env.planning.paths import NO_STOP, UNREACHED, PathSearch, find_paths, make_search
 from drone_env.planning.states import require_memory
 
-WAIT = int(Action.WAIT)
 STATES_AT_ONCE = 256
 """Maximum number of states per call: their features fit into the processor's cache."""
 CHUNK_BYTES = 1 << 25

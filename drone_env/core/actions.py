@@ -25,6 +25,7 @@ ACTION_OFFSETS: dict[Action, tuple[int, int]] = {
     Action.WAIT: (0, 0),
 }
 N_ACTIONS = len(Action)
+WAIT = int(Action.WAIT)  # compiled code takes plain integers
 ALLOWED_ACTIONS = ", ".join(f"{int(action)} {action.name}" for action in Action)
 
 

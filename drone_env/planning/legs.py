@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import FLYING, N_ACTIONS, Action
+from drone_env.core.actions import FLYING, N_ACTIONS, WAIT, Action
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.compiled import OPTIONS, jitable, kernel
@@ -29,7 +29,6 @@ from drone_env.planning.paths import PathSearch, find_paths, least_units, make_s
 from drone_env.planning.solver import Solver, ranked_scores
 from drone_env.planning.states import UNPAID, delivered_set, require_memory, state_arrays
 
-WAIT = int(Action.WAIT)
 MAX_BETWEEN_PADS = 32 << 30
 """Limit of (sets delivered) * pads * stops * (battery units) * steps. A billion takes at most a second."""
 ROWS_AT_ONCE = 64

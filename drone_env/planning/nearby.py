@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.actions import N_ACTIONS, WAIT
 from drone_env.core.cells import DELIVERY_CELL, N_CELL_KINDS, PAD_CELL, ROAD_CELL
 from drone_env.core.compiled import jitable, kernel
 from drone_env.core.rules import NONE, collision, manhattan
@@ -19,7 +19,6 @@ from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.planning.from_observation import drone_positions
 from drone_env.planning.paths import NO_ACTION, NO_PATH, UNIT_COST, find_costs, move_costs, waits_until_full
 
-WAIT = int(Action.WAIT)
 EXACT, WIDTH, BUCKETS = 16, 4, 25
 """Numbers below `EXACT` have a bucket each, `WIDTH` larger ones share one. Bucket 0 is for negative numbers."""
 BY_ACTION = N_ACTIONS * BUCKETS

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.actions import N_ACTIONS, WAIT
 from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
 from drone_env.core.compiled import jitable, kernel
 from drone_env.core.rules import NONE, collision
@@ -18,7 +18,6 @@ from drone_env.core.tables import N_MOVES, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.states import require_memory
 
-WAIT = int(Action.WAIT)
 UNREACHED = 1 << 30
 NO_STOP = -1
 NO_PATH = 1 << 40

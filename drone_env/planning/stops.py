@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import N_ACTIONS, Action, Event
+from drone_env.core.actions import N_ACTIONS, WAIT, Action, Event
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
 from drone_env.core.compiled import jitable, kernel
 from drone_env.core.episode import Episode
@@ -28,7 +28,6 @@ from drone_env.planning.paths import (
 )
 from drone_env.planning.states import require_memory, state_arrays
 
-WAIT = int(Action.WAIT)
 FAR = 1 << 30
 NO_STOP = -1
 

@@ -20,7 +20,7 @@ from drone_env.agents.tour_features import (
     make_features,
     write_features,
 )
-from drone_env.core.actions import FLYING, Action
+from drone_env.core.actions import FLYING, WAIT
 from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.compiled import inlined, kernel
 from drone_env.core.episode import Episode
@@ -34,7 +34,6 @@ from drone_env.planning.paths import find_paths, most_paths
 from drone_env.planning.solver import ranked_scores
 from drone_env.planning.states import UNPAID, delivered_set, put_drone, put_parcels, state_arrays
 
-WAIT = int(Action.WAIT)
 FROM_START, OTHER, NEARLY_BEST, GOES_ON = 40, 35, 20, 85
 """Percentages: flights from the start; options that are not the best; those of them with a regret of at most `NEAR`;
 steps after which a flight stays on its path instead of choosing again."""
