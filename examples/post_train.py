@@ -71,6 +71,7 @@ class Options:
     minutes: float | None = None  # train for CPU-minutes instead (minutes on a GPU); 0 saves the model as it is
     temperature: float = 0.002  # an answer that loses this much score is 1/e times as likely as a best one
     batch: int = 16  # answers per gradient step
+    pool: int = 4  # batches that are made at once of answers sorted by length: more have less padding
     lr: float | None = None  # learning rate; default: 0.001 for a million parameters, less for more
     rewards: tuple[Reward, ...] = ("score", "regret", "rank")  # rewards of GRPO to compare
     grpo_seeds: int = 3  # number of seeds of each reward
@@ -90,7 +91,7 @@ class Options:
 
 
 QUICK = {"answers": 32, "grpo_steps": 2, "grpo_batch": 2, "generations": 2, "grpo_seeds": 1}
-TRAINING = "data", "model", "seed", "layers", "lora", "answers", "epochs", "minutes", "temperature", "batch", "lr"
+FIXED = "data", "model", "seed", "layers", "lora", "answers", "epochs", "minutes", "temperature", "batch", "pool", "lr"
 """Options that a resumed training must share with its start."""
 
 
@@ -228,8 +229,8 @@ def batches(options: Options, data: Sequence[dict[str, Any]]) -> Iterator[list[d
     rng, size = np.random.default_rng(options.seed), options.batch
     while True:
         order, found = rng.permutation(len(data)).tolist(), []
-        for start in range(0, len(order), 4 * size):
-            pool = sorted(order[start : start + 4 * size], key=lambda number: len(str(data[number]["messages"])))
+        for start in range(0, len(order), options.pool * size):
+            pool = sorted(order[start : start + options.pool * size], key=lambda i: len(str(data[i]["messages"])))
             found += [pool[first : first + size] for first in range(0, len(pool), size)]
         for number in rng.permutation(len(found)):
             yield [data[i] for i in found[number]]
@@ -266,7 +267,7 @@ def fine_tune(options: Options) -> None:
     """Train on optimal answers, and save the model in the folder `name`."""
     out, clock = options.out / options.name, time.process_time if DEVICE == "cpu" else time.monotonic
     path, part = out / "checkpoint.pt", out / "checkpoint.part"
-    settings = {key: str(value) for key, value in asdict(options).items() if key in TRAINING}
+    settings = {key: str(value) for key, value in asdict(options).items() if key in FIXED}
     saved = torch.load(path, weights_only=True) if path.exists() else None
     known = saved or results(options).get(options.name)
     if known and known["settings"] != settings:
