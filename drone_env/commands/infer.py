@@ -33,7 +33,7 @@ class RunOptions:
     Args:
         task: The task: short name, id or grader. Default: DRONE_TASK.
         local: Evaluate the model in this folder, in this process: that of transformers, or one with a GGUF file.
-            --concurrency is the number of flights in a batch.
+            --concurrency is the number of flights at once.
         model: The model. Default: MODEL_NAME, or the name of the folder of --local.
         base_url: The endpoint. Default: API_BASE_URL.
         episodes: Number of maps of the split. Default: 1.

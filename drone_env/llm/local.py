@@ -32,7 +32,7 @@ Request = Mapping[str, Any]
 
 
 class LocalModel:
-    """Answers the requests of a run with a local model, all open ones at once.
+    """Answers the requests of a run with a local model, the open ones in batches.
 
     At temperature 0 it decodes greedily and answers equal requests once.
 
