@@ -1,13 +1,19 @@
 """Statistics of the finished episodes of a task, with optima that are solved in the background."""
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Event
+
 import pytest
 
-from drone_env.core.tasks import TASKS
+from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.flights.episodes import EpisodeSummary, analyse
+from drone_env.flights.optima import solve_maps
 from drone_env.flights.store import Store
 from drone_env.models import OutcomeName
 from drone_env.planning.optimal import solve
-from tests.tools import eventually
+from tests.tools import PATIENCE, eventually
 from tests.unit.stores import failing, flown
 
 
@@ -19,12 +25,26 @@ def test_an_analysis_looks_at_the_newest(store: Store) -> None:
     assert newest.mean_regret == 0
 
 
-def test_an_analysis_does_not_wait_for_optima_and_has_them_later(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_analysis_does_not_wait_for_optima_and_has_them_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("drone_env.flights.store.PATIENCE", 0)
-    for seed in range(40):
-        store.add_episode(flown("hard", seed, "4"), "someone")
-    assert store.analysis("hard").regret_episodes < 40
-    eventually(lambda: store.analysis("hard").regret_episodes == 40)
+    asked, was_asked = Event(), []
+
+    def solve_when_asked(task: TaskConfig, seeds: Sequence[int]) -> list[float | None]:
+        was_asked.append(asked.wait(PATIENCE))
+        return solve_maps(task, seeds)
+
+    with (
+        ThreadPoolExecutor(1) as solver,
+        Store(tmp_path, submit=lambda task, seeds: solver.submit(solve_when_asked, task, seeds)) as store,
+    ):
+        for seed in range(3):
+            store.add_episode(flown("hard", seed, "4"), "someone")
+        assert store.analysis("hard").regret_episodes == 0
+        asked.set()
+        eventually(lambda: store.analysis("hard").regret_episodes == 3)
+        assert all(was_asked)
 
 
 def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog: pytest.LogCaptureFixture) -> None:
