@@ -116,7 +116,7 @@ def scripted_server() -> Generator[str, None, None]:
 def endpoint(
     scripted_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Start:
-    """Opens endpoints: `endpoint(pilot="greedy", latency=0.2, faults=[[0, 3, {"status": 500}]])`."""
+    """Opens endpoints: `endpoint(pilot="greedy", together=2, faults=[[0, 3, {"status": 500}]])`."""
     numbers = itertools.count()
 
     def start(**told: Any) -> Endpoint:

@@ -3,6 +3,7 @@
 `POST /NAME/script` opens an endpoint at `/NAME/v1`. Its body contains:
 - `pilot`: perfect, greedy, plan, able (perfect or greedy, as the prompt allows), or a text to answer with.
 - `latency`: seconds.
+- `together`: a number of requests; none of these first ones is answered before all have come.
 - `rejects`: the message of the 400 for each field, and for the role `system`, that a request may not contain.
 - `faults`: a list of [first, last, fault] by the number of the request from 0; the first match applies.
 """
@@ -11,6 +12,7 @@ import itertools
 import json
 import re
 import sys
+import threading
 import time
 import traceback
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -49,12 +51,14 @@ def reply(pilot: str, prompt: str) -> str:
 
 
 scripts: dict[str, dict] = {}
-"""The script of each endpoint, with the lines of its log (`log`) and a counter of its requests (`numbers`)."""
+"""The script of each endpoint, with the lines of its log (`log`), a counter of its requests (`numbers`), and a barrier
+for the first ones (`meeting`)."""
 
 
 def script(name: str, what: dict) -> list[dict]:
     """Open an endpoint, and return its log: one line for each request before it is answered, and one after that."""
-    scripts[name] = {**what, "log": [], "numbers": itertools.count()}
+    meeting = threading.Barrier(what.get("together", 1))
+    scripts[name] = {**what, "log": [], "numbers": itertools.count(), "meeting": meeting}
     return scripts[name]["log"]
 
 
@@ -79,6 +83,8 @@ class Handler(BaseHTTPRequestHandler):
         headers = {name.lower(): value for name, value in self.headers.items()}
         told["log"].append({"call": call, "headers": headers, "body": body, "port": self.client_address[1]})
         try:
+            if index < told["meeting"].parties:
+                told["meeting"].wait()
             time.sleep(3600 if fault == "hang" else told.get("latency", 0))
             if isinstance(fault, str):
                 self.close_connection = True

@@ -62,7 +62,7 @@ def test_a_run_changes_its_requests_and_stays_true(endpoint: Start) -> None:
 
 
 def test_requests_on_their_way_are_repeated_after_a_change(endpoint: Start) -> None:
-    scripted = endpoint(pilot="greedy", latency=0.05, rejects={"max_tokens": USE_OTHER})
+    scripted = endpoint(pilot="greedy", together=6, rejects={"max_tokens": USE_OTHER})
     done = scripted.infer("--episodes", "6", "--task", "easy", "--tries", "1")
     assert (done.status, done.err.count("max_tokens is sent as")) == (0, 1), done.err
     assert sum("max_tokens" in request["body"] for request in scripted.requests()) == 6
