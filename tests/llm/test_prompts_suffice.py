@@ -21,6 +21,7 @@ from drone_env.planning.from_observation import episode_from_fields
 from drone_env.planning.optimal import solve, solver_of
 from drone_env.planning.stops import next_stops
 from drone_env.server.openenv_session import full_text
+from tests.tools import ROOT
 
 MAPS = int(os.environ.get("DRONE_ENV_PROMPT_MAPS", "0"))
 ALL = [*map(get_prompt, prompt_ids()), *map(read_prompt, sorted(FOLDER.glob("tools/*.toml")))]
@@ -250,6 +251,17 @@ def test_each_stop_costs_what_the_prompt_says_and_no_pad_in_reach_is_left_out(ta
             # A pad that only a drone without units reaches is none.
             assert (sign == "spare") == (not task.charge_rate or not task.pads or nearest < after.battery_units)
             assert sign == "short" or task.uniform or after.battery_units - nearest - 1 <= int(spare)
+
+
+@pytest.mark.parametrize("task", ["rush_easy", "skyline_easy"])
+def test_the_prompt_of_the_examples_says_what_stops_says(task: str) -> None:
+    flights = [TextEpisode(task, 3, get_prompt(name)) for name in ("stops", str(ROOT / "examples" / "rush.toml"))]
+    while flights[0].messages:
+        (system, listed), mine = ([message["content"] for message in flight.messages] for flight in flights)
+        assert mine == [system, re.sub(r"^([A-Z]) (?:parcel )?(.*)$", r"\2=\1", listed, flags=re.MULTILINE)]
+        for flight in flights:
+            flight.answer(listed.splitlines()[1][0])
+    assert flights[0].episode.actions == flights[1].episode.actions
 
 
 def read_stops(text: str) -> str:
