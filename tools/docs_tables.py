@@ -174,13 +174,13 @@ def language_models() -> str:
     parts: list[str] = []
     with TemporaryDirectory() as folder, tarfile.open(TRANSCRIPTS) as archive:
         archive.extractall(folder, filter="data")
-        runs = [report(read_run(path)) for path in sorted(Path(folder).iterdir())]
+        runs = [report(read_run(path)) for path in sorted(Path(folder).glob("*/*"))]
     for board in group_by_maps(runs):
         key, ranked = board.rows[0].results.key, list[tuple[Summary, list[str]]]()
         for entry in board.rows:
-            figures = entry.report
-            unusable = f"{percent(figures['unusable']['share'])} of {figures['unusable']['of']}"
-            verdict = f"{figures['verdict']}{', marked' if figures['unusable']['marked'] else ''}"
+            told = entry.report
+            unusable = f"{percent(told['unusable']['share'])} of {told['unusable']['of']}"
+            verdict = f"{told['verdict']}{', marked' if told['unusable']['marked'] else ''}"
             ranked.append((entry.summary, [entry.agent, f"`{entry.prompt}`", unusable, verdict]))
         for agent in ("random", "nearest", BEST):
             of_agent = episodes_key(key.task, agent, range(*key.seeds), key.split)
@@ -189,8 +189,9 @@ def language_models() -> str:
         ranked.sort(key=lambda row: row[0].score or 0, reverse=True)
         rows = [["agent or model", "prompt", "score", "of the optimum", "delivered all", "unusable answers", "verdict"]]
         for summary, (agent, prompt, *answers) in ranked:
-            shares = [number(summary.ratio), percent(summary.success_rate)]
-            rows.append([agent, prompt, with_interval(summary.score, summary.score_ci95), *shares, *answers])
+            figures = [with_interval(summary.score, summary.score_ci95), number(summary.ratio)]
+            figures.append(percent(summary.success_rate))
+            rows.append([agent, prompt, *(["-"] * 3 if "incomplete" in answers[-1] else figures), *answers])
         title = f"{board.task.partition(' ')[0]}, the first {key.seeds[1] - key.seeds[0]} test maps"
         parts.append(f"**{title}**\n\n{markdown(rows)}")
     return "\n\n".join(parts)
