@@ -169,6 +169,11 @@ def submitter(head: SubmissionHead) -> str:
     return name if head.prompt is None else f"{name}, `{head.prompt}`, {percent(head.unusable)} unusable"
 
 
+def cells_of(summary: Summary) -> list[str]:
+    """Score, ratio to the optimum and share of flights that delivered all."""
+    return [with_interval(summary.score, summary.score_ci95), number(summary.ratio), percent(summary.success_rate)]
+
+
 def language_models() -> str:
     """The runs in the archive of transcripts, flown again, beside agents over the same maps: a table for each task."""
     parts: list[str] = []
@@ -176,24 +181,22 @@ def language_models() -> str:
         archive.extractall(folder, filter="data")
         runs = [report(read_run(path)) for path in sorted(Path(folder).glob("*/*"))]
     for board in group_by_maps(runs):
-        key, ranked = board.rows[0].results.key, list[tuple[Summary, list[str]]]()
+        key, ranked = board.rows[0].results.key, list[tuple[float, list[str]]]()
         for entry in board.rows:
             told = entry.report
             unusable = f"{percent(told['unusable']['share'])} of {told['unusable']['of']}"
             verdict = f"{told['verdict']}{', marked' if told['unusable']['marked'] else ''}"
-            ranked.append((entry.summary, [entry.agent, f"`{entry.prompt}`", unusable, verdict]))
+            figures = cells_of(entry.summary) if told["verdict"] == "valid" else ["-"] * 3
+            row = [entry.agent, f"`{entry.prompt}`", *figures, unusable, verdict]
+            ranked.append((entry.summary.score or 0, row))
         for agent in ("random", "nearest", BEST):
             of_agent = episodes_key(key.task, agent, range(*key.seeds), key.split)
             summary = Summary.of(shipped_results(of_agent) or run_episodes(of_agent))
-            ranked.append((summary, [agent, "-", "-", "-"]))
-        ranked.sort(key=lambda row: row[0].score or 0, reverse=True)
-        rows = [["agent or model", "prompt", "score", "of the optimum", "delivered all", "unusable answers", "verdict"]]
-        for summary, (agent, prompt, *answers) in ranked:
-            figures = [with_interval(summary.score, summary.score_ci95), number(summary.ratio)]
-            figures.append(percent(summary.success_rate))
-            rows.append([agent, prompt, *(["-"] * 3 if "incomplete" in answers[-1] else figures), *answers])
+            ranked.append((summary.score or 0, [agent, "-", *cells_of(summary), "-", "-"]))
+        ranked.sort(key=lambda row: row[0], reverse=True)
+        head = ["agent or model", "prompt", "score", "of the optimum", "delivered all", "unusable answers", "verdict"]
         title = f"{board.task.partition(' ')[0]}, the first {key.seeds[1] - key.seeds[0]} test maps"
-        parts.append(f"**{title}**\n\n{markdown(rows)}")
+        parts.append(f"**{title}**\n\n{markdown([head, *(row for _, row in ranked)])}")
     return "\n\n".join(parts)
 
 

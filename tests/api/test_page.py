@@ -63,7 +63,7 @@ def test_the_bundle_is_current() -> None:
 
 
 def test_what_it_preloads_is_served_and_used(shared_client: TestClient) -> None:
-    """The warning of a browser is no test: a busy machine uses a file late, and gets the same warning."""
+    """The browser also warns when a busy machine uses a file late, so its warnings cannot be the test."""
     files = re.findall(r'rel="preload" href="([^"]+)"[^>]* crossorigin>', shared_client.get("/").text)
     used = "".join((page_files.BUNDLE / name).read_text("utf-8") for name in ("page.css", "main.js"))
     assert len(files) == 3

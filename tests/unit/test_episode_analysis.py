@@ -29,22 +29,22 @@ def test_an_analysis_does_not_wait_for_optima_and_has_them_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drone_env.flights.store.PATIENCE", 0)
-    asked, was_asked = Event(), []
+    released, was_released = Event(), []
 
-    def solve_when_asked(task: TaskConfig, seeds: Sequence[int]) -> list[float | None]:
-        was_asked.append(asked.wait(PATIENCE))
+    def solve_when_released(task: TaskConfig, seeds: Sequence[int]) -> list[float | None]:
+        was_released.append(released.wait(PATIENCE))
         return solve_maps(task, seeds)
 
     with (
         ThreadPoolExecutor(1) as solver,
-        Store(tmp_path, submit=lambda task, seeds: solver.submit(solve_when_asked, task, seeds)) as store,
+        Store(tmp_path, submit=lambda task, seeds: solver.submit(solve_when_released, task, seeds)) as store,
     ):
         for seed in range(3):
             store.add_episode(flown("hard", seed, "4"), "someone")
         assert store.analysis("hard").regret_episodes == 0
-        asked.set()
+        released.set()
         eventually(lambda: store.analysis("hard").regret_episodes == 3)
-        assert all(was_asked)
+        assert all(was_released)
 
 
 def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog: pytest.LogCaptureFixture) -> None:
