@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, Page, Route, expect
 
 from drone_env.flights.provenance import Provenance
 from drone_env.flights.record import replay
@@ -13,7 +13,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
 from tests.browser.flights import fill, flown, get
 from tests.browser.shown import fixed, measured, points
-from tests.browser.stage import press, show, view
+from tests.browser.stage import press, show, until, view
 
 
 def compare(page: Page, task: str = "easy") -> None:
@@ -227,3 +227,45 @@ def test_a_flight_that_ends_elsewhere_appears_by_itself(page: Page, server: Serv
     page.get_by_role("link", name="else, where", exact=True).click()
     expect(page).to_have_url(re.compile(r"pilot=else%2C%20where$"))
     expect(rows(page, "Maps of else, where")).to_have_count(1)
+
+
+@pytest.mark.parametrize("heard", ["before", "after"])
+def test_a_flight_that_ends_while_the_view_loads_appears(page: Page, server: Server, heard: str) -> None:
+    """Its news arrive before or after a leaderboard that does not contain it yet."""
+    compare(page)
+    # Later news are not about an optimum of another flight.
+    until(page, lambda: all(one["optimal_score"] for one in get(server, "episodes", task="easy")["episodes"]))
+    paths = {"news": r"episodes\?limit=", "list": r"episodes\?task=medium&", "board": "leaderboard/medium$"}
+    held: dict[str, Route] = {}
+    for name, path in paths.items():
+        page.route(re.compile(path), lambda route, _, name=name: held.update({name: route}))
+
+    def release(name: str) -> None:
+        until(page, lambda: name in held)
+        with page.expect_response(held[name].request.url):
+            held[name].continue_()
+
+    compare(page, "medium")
+    until(page, lambda: "list" in held)
+    # A board that the page asks for together with the list is here when the page draws next.
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    together = "board" in held
+    if not together:
+        release("list")
+    until(page, lambda: "board" in held)
+    board = held["board"]
+    answer = board.fetch()
+    new = fill(server.data, [flown("medium", SEEDS, "greedy", label=f"news {heard}")])[0]
+    if together:
+        release("list")
+    if heard == "before":
+        release("news")
+    for name in ("list", "board"):
+        page.unroute(re.compile(paths[name]))
+    board.fulfill(response=answer)
+    expect(rows(page, "Flights, newest first").first).to_be_visible()
+    if heard == "after":
+        release("news")
+    page.unroute_all()
+    expect(page.locator(f"[href='?episode={new}']")).to_be_visible()
+    expect(page.get_by_role("link", name=f"news {heard}", exact=True)).to_be_visible()

@@ -25,7 +25,10 @@ export function mountCompare(root, context) {
   choice.addEventListener("change", () => go(choice.value, []));
 
   const drawn = new Map();
-  let [request, newest, shown, followed] = [0, null, null, false];
+  /** The task that is asked for, and the one that is shown. */
+  let [request, asked, shown, followed] = [0, null, null, false];
+  /** Whether the parts are on their way, and whether the news have told more since then than `known`, the listed flights. */
+  let [asking, outdated, known] = [false, false, new Set()];
   /** All rows, and those that the address names. */
   let [rows, chosen] = [[], []];
 
@@ -64,14 +67,17 @@ export function mountCompare(root, context) {
     const mine = ++request;
     const { pilots, task: name } = router.address;
     const named = name ?? stage.world?.task.short_name ?? tasks[0].short_name;
-    newest = null;
+    [asked, asking, outdated] = [named, true, false];
     // The rows of another task lead to its maps.
     parts.inert = named !== shown;
     try {
       await context.meet(named);
       const path = `leaderboard/${encodeURIComponent(named)}`;
-      const list = api.get("episodes", { task: named, limit: NEWEST });
-      const [board, runs, { episodes }] = await Promise.all([api.get(path), api.get(`${path}/runs`), list]);
+      // Before the boards: what they miss is not known, so its news load them again.
+      const { episodes } = await api.get("episodes", { task: named, limit: NEWEST });
+      if (mine !== request) return;
+      known = new Set(episodes.map((one) => JSON.stringify(one)));
+      const [board, runs] = await Promise.all([api.get(path), api.get(`${path}/runs`)]);
       if (mine !== request) return;
       const task = context.task(named);
       choice.value = task.short_name;
@@ -94,7 +100,6 @@ export function mountCompare(root, context) {
       redraw(adding.lastElementChild, words, () => programs.map((program) => snippet(program, words)));
       flights.hidden = !episodes.length;
       adding.hidden = !variants(task);
-      newest = episodes[0]?.id ?? "";
       shown = named;
       problem.hidden = true;
       parts.hidden = parts.inert = false;
@@ -106,7 +111,10 @@ export function mountCompare(root, context) {
       problem.textContent = `Could not load the comparison: ${error.message}`;
       // An unknown task shows only the error.
       parts.hidden ||= error.status === 404;
+    } finally {
+      if (mine === request) asking = false;
     }
+    if (mine === request && outdated) show();
   }
 
   context.on("view", (view) => {
@@ -116,7 +124,11 @@ export function mountCompare(root, context) {
   });
   server.on("state", ({ state }) => state === "open" && context.view === "compare" && !problem.hidden && show());
   server.on("episodes", ({ episodes }) => {
-    const last = episodes.find(({ task }) => task === context.task(choice.value)?.id);
-    if (last && newest !== null && last.id !== newest) show();
+    const id = context.task(asked)?.id;
+    // A flight that ended, or whose optimum is computed.
+    if (episodes.every((one) => one.task !== id || known.has(JSON.stringify(one)))) return;
+    // What is on its way is shown first: where flights end all the time, the page would never show anything.
+    outdated = true;
+    if (!asking) show();
   });
 }
