@@ -32,6 +32,7 @@ from transformers import AutoModelForCausalLM, AutoTokenizer, LlamaConfig, Llama
 
 from drone_env.core.actions import Action
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer
 from drone_env.llm.local import best_dtype, read_shared
 from drone_env.llm.prompt import Prompt, get_prompt, ways_of
@@ -86,13 +87,24 @@ class Options:
     @cached_property
     def task_and_prompt(self) -> tuple[TaskConfig, Prompt]:
         """Those of the data."""
-        about = json.loads(read_schema(self.data / "steps.parquet").metadata[b"drone_env"])
-        return get_task(about["task"]["id"]), get_prompt(self.prompt or about["prompt"])
+        file = self.data / "steps.parquet"
+        if not (file.exists() and (self.data / "chat.jsonl").exists()):
+            raise SystemExit(f"{self.data} contains no data: drone-env dataset --prompt PROMPT --out {self.data}")
+        about = json.loads(read_schema(file).metadata[b"drone_env"])
+        try:
+            prompt = get_prompt(self.prompt or about["prompt"])
+        except (OSError, DroneEnvError) as error:
+            raise SystemExit(f"{error}; name the prompt of {self.data}: --prompt FILE.toml") from None
+        if prompt.digest != about["prompt_digest"]:
+            raise SystemExit(f"{self.data} was made with the prompt {about['prompt']}, another one than {prompt.id}")
+        return get_task(about["task"]["id"]), prompt
 
 
 QUICK = {"answers": 32, "grpo_steps": 2, "grpo_batch": 2, "generations": 2, "grpo_seeds": 1}
-FIXED = "data", "model", "seed", "layers", "lora", "answers", "epochs", "minutes", "temperature", "batch", "pool", "lr"
-"""Options that a resumed training must share with its start."""
+SHARED = "data", "seed", "layers", "lora", "lr"
+SFT = *SHARED, "model", "answers", "epochs", "minutes", "temperature", "batch", "pool"
+GRPO = *SHARED, "name", "grpo_steps", "grpo_batch", "generations", "grpo_lr", "answer_tokens"
+"""Options that a model must share with the one that is already in its folder."""
 
 
 def tiny_model(options: Options) -> tuple[Any, Any]:
@@ -120,8 +132,13 @@ def load(options: Options, source: str | Path, dtype: Any = "auto") -> tuple[Any
         (path,) = Path(package.submodule_search_locations[0]).glob("*.gguf")
     if path.suffix == ".gguf":
         source, file, dtype = path.parent, {"gguf_file": path.name}, torch.float32
-    tokenizer = AutoTokenizer.from_pretrained(source, **file)
-    model = AutoModelForCausalLM.from_pretrained(source, dtype=dtype, **file)
+    try:
+        tokenizer = AutoTokenizer.from_pretrained(source, **file)
+        model = AutoModelForCausalLM.from_pretrained(source, dtype=dtype, **file)
+    except (OSError, ValueError, ImportError) as error:
+        raise SystemExit(f"{source} is not a model that transformers reads: {error}") from None
+    if not tokenizer.chat_template:
+        raise SystemExit(f"{source} has no chat template: chat_template.jinja contains it")
     if file:  # transformers saves no quantised model, and takes this one for quantised
         weights = model.state_dict()
         del model.config.quantization_config
@@ -135,6 +152,8 @@ class Training:
 
     def __init__(self, options: Options, model: Any, dtype: torch.dtype) -> None:
         decoder = model.get_decoder()
+        if options.layers is not None and not 1 <= options.layers <= len(decoder.layers):
+            raise SystemExit(f"--layers must be 1 to {len(decoder.layers)}, not {options.layers}")
         last = decoder.layers[-options.layers :] if options.layers else decoder.layers
         self.size, self.options, self.model, self.dtype = model.num_parameters(), options, model, dtype
         if options.lora:
@@ -267,15 +286,10 @@ def fine_tune(options: Options) -> None:
     """Train on optimal answers, and save the model in the folder `name`."""
     out, clock = options.out / options.name, time.process_time if DEVICE == "cpu" else time.monotonic
     path, part = out / "checkpoint.pt", out / "checkpoint.part"
-    settings = {key: str(value) for key, value in asdict(options).items() if key in FIXED}
     saved = torch.load(path, weights_only=True) if path.exists() else None
-    known = saved or results(options).get(options.name)
-    if known and known["settings"] != settings:
-        raise SystemExit(f"{out} was trained with other options: choose another --name or --out; {known['settings']}")
-    if known and not saved:
-        print(f"{options.name} is trained", flush=True)
+    settings = settings_of(options, options.name, SFT, saved)
+    if settings is None:
         return
-    out.mkdir(parents=True, exist_ok=True)
     state = saved["state"] if saved else {"step": 0, "answers": 0, "tokens": 0, "seconds": 0.0, "log": []}
     started = clock() - state["seconds"]
     model, tokenizer = load(options, options.model, torch.float32)
@@ -288,6 +302,7 @@ def fine_tune(options: Options) -> None:
     sizes = f"{len(data):,} answers, {sum(w.numel() for w in training.weights):,} of {training.size:,} parameters"
     chosen = f"{training.dtype}, learning rate {training.rate:.1e}"
     print(f"{options.name}: {sizes}, {chosen}, from step {state['step']}", flush=True)
+    out.mkdir(parents=True, exist_ok=True)
     losses, shown, kept, pause = [], time.monotonic(), time.monotonic(), 5.0
     for step, batch in enumerate(batches(options, data)):
         if step < state["step"]:
@@ -433,7 +448,8 @@ def reinforce(options: Options) -> None:
     """
     for number, sampler, kind in itertools.product(range(options.grpo_seeds), options.samplers, options.rewards):
         name, seed = f"grpo-{kind}-{sampler}-{options.seed + number}", options.seed + number
-        if name in results(options):
+        settings = settings_of(replace(options, seed=seed), name, GRPO)
+        if settings is None:
             continue
         began, (model, tokenizer) = time.process_time(), load(options, options.out / options.name, torch.float32)
         training = Training(options, model, getattr(torch, best_dtype()))
@@ -465,7 +481,7 @@ def reinforce(options: Options) -> None:
                 print(name, log[-1], f"{time.process_time() - began:.0f} s", flush=True)
                 sums.clear()
         training.save(options.out / name, tokenizer)
-        note(options, {name: {"cpu_s": time.process_time() - began, "log": log}})
+        note(options, {name: {"cpu_s": time.process_time() - began, "log": log, "settings": settings}})
 
 
 def results(options: Options) -> dict[str, Any]:
@@ -474,9 +490,24 @@ def results(options: Options) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
+def settings_of(
+    options: Options, name: str, keys: tuple[str, ...], saved: dict[str, Any] | None = None
+) -> dict[str, str] | None:
+    """These options of a model that is to be trained, or goes on from `saved`; None if it is trained."""
+    settings = {key: str(value) for key, value in asdict(options).items() if key in keys}
+    known = saved or results(options).get(name)
+    if known and known["settings"] != settings:
+        out = options.out / name
+        raise SystemExit(f"{out} was trained with other options, choose another --out: {known['settings']}")
+    if known and not saved:
+        print(f"{name} is trained", flush=True)
+        return None
+    return settings
+
+
 def note(options: Options, more: dict[str, Any]) -> None:
     """Add to `results.json`."""
-    text = json.dumps(results(options) | {"options": asdict(options)} | more, indent=1, default=str)
+    text = json.dumps(results(options) | more, indent=1, default=str)
     part = options.out / "results.part"
     part.write_text(text + "\n", encoding="utf-8")
     part.replace(options.out / "results.json")
@@ -485,7 +516,8 @@ def note(options: Options, more: dict[str, Any]) -> None:
 def main(stages: tyro.conf.Positional[tuple[Stage, ...]], options: tyro.conf.OmitArgPrefixes[Options]) -> None:
     """Run the stages in order; without any, all of them."""
     options = replace(options, **QUICK) if options.quick else options
-    options.out.mkdir(parents=True, exist_ok=True)
+    task, prompt = options.task_and_prompt
+    print(f"{task.short_name}, prompt {prompt.id}", flush=True)
     for stage in stages or ("sft", "grpo"):
         {"sft": fine_tune, "grpo": reinforce}[stage](options)
 

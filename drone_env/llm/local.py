@@ -41,7 +41,7 @@ class LocalModel:
         dtype: The type of its numbers, as `best_dtype` returns it.
 
     Raises:
-        InvalidValueError: if the folder contains no model.
+        InvalidValueError: if the folder contains no model, or one without a chat template.
     """
 
     def __init__(self, folder: Path, dtype: str) -> None:
@@ -52,6 +52,8 @@ class LocalModel:
             self.model: Any = transformers.AutoModelForCausalLM.from_pretrained(folder, dtype=dtype, **files)
         except (OSError, ValueError, ImportError) as error:
             raise InvalidValueError(f"{folder} is not a model that transformers reads: {error}") from None
+        if not self.tokenizer.chat_template:
+            raise InvalidValueError(f"{folder} has no chat template: chat_template.jinja contains it")
         self.model = self.model.to("cuda" if torch.cuda.is_available() else "cpu").eval()
         end = self.model.generation_config.eos_token_id
         ends: list[int] = end if isinstance(end, list) else [] if end is None else [end]

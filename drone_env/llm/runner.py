@@ -108,7 +108,7 @@ class Runner:
             # If the very first call fails, such as for a rejected parameter or by a redirect, all others would.
             if failed.fatal or not self.budget.answers:
                 verb = "returned" if failed.status else "gives"
-                self._fatal = f"{urlsplit(self.config.base_url).netloc} {verb} {failed}"
+                self._fatal = f"{urlsplit(self.config.base_url).netloc or self.config.model} {verb} {failed}"
             run.stop("errored", str(failed))
             outcome = "api_error"
         call = Call(

@@ -167,9 +167,12 @@ def test_answers_equal_those_of_transformers_serve(
 def test_what_is_no_model_is_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    mute = shutil.copytree(folder, tmp_path / "mute")
+    (mute / "chat_template.jinja").unlink()
     for options, told in (
         (("--local", str(tmp_path / "none")), "takes the folder of a model"),
         (("--local", str(tmp_path)), "config.json or one GGUF file, it has 0"),
+        (("--local", str(mute)), "has no chat template"),
         (("--local", str(folder), "--base-url", "http://localhost:1/v1"), "without --base-url"),
         (("--local", str(folder), "--answers", "json"), "use --answers text"),
         (("--local", str(folder), "--extra", '{"no_such_option": 1}'), "no_such_option"),

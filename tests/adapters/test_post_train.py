@@ -41,6 +41,8 @@ def test_the_stages_train(post_train: Any, data: Path, tmp_path: Path, monkeypat
     post_train.main((), options)
     monkeypatch.setattr(post_train, "paid_for", lambda policy, kind, flight, answers: [1.0] * len(answers))
     post_train.main(("grpo",), post_train.replace(options, rewards=("rank",), seed=1))
+    with pytest.raises(SystemExit, match="other options"):
+        post_train.main(("grpo",), post_train.replace(options, grpo_lr=0.5))
     results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
     assert results["sft"]["answers"] == 32
     for name in (*(f"grpo-{kind}-difficulty-0" for kind in options.rewards), "grpo-rank-difficulty-1"):
@@ -124,6 +126,29 @@ def test_a_killed_training_goes_on_bit_for_bit(
     assert not (tmp_path / "killed" / "checkpoint.pt").exists()
     one, two = ((tmp_path / name / "model.safetensors").read_bytes() for name in ("sft", "killed"))
     assert one == two
+
+
+def test_wrong_options_are_refused_before_anything_is_written(post_train: Any, data: Path, tmp_path: Path) -> None:
+    out, options = tmp_path / "out", post_train.Options(data=data, out=tmp_path / "out", quick=True)
+    mute = tmp_path / "mute"
+    post_train.tiny_model(options)[1].save_pretrained(mute)
+    post_train.tiny_model(options)[0].save_pretrained(mute)
+    (mute / "chat_template.jinja").unlink()
+    for wrong, told in (
+        ({"data": tmp_path}, "contains no data"),
+        ({"prompt": "grid"}, "another one than grid"),
+        ({"prompt": "none.toml"}, "none.toml"),
+        ({"layers": 5}, "--layers must be 1 to 4, not 5"),
+        ({"layers": 0}, "--layers must be 1 to 4, not 0"),
+        ({"model": str(tmp_path)}, "is not a model that transformers reads"),
+        ({"model": str(mute)}, "has no chat template"),
+    ):
+        with pytest.raises(SystemExit, match=told):
+            post_train.main(("sft",), post_train.replace(options, **wrong))
+        assert not out.exists()
+    with pytest.raises(SystemExit, match="is not a model"):
+        post_train.main(("grpo",), options)
+    assert not out.exists()
 
 
 def test_the_loss_is_the_divergence_from_all_answers_to_learn(post_train: Any) -> None:
