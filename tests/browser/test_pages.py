@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
@@ -18,7 +18,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import TRAINING
 from tests.browser.flights import flown, get
 from tests.browser.shown import expect_flying, expect_step, fixed, points
-from tests.browser.stage import ended, expect_task, fly, keys, press, show, task, view
+from tests.browser.stage import ended, expect_task, fly, keys, moves, press, show, task, until, view
 from tests.browser.test_several import KEYS
 
 ALONE = ("easy", 18)
@@ -91,11 +91,18 @@ def test_the_tasks_are_above_the_map_one_click_away(page: Page) -> None:
     task(page, "Map of the day").click()
     expect_task(page, "Map of the day")
     expect_flying(page, "You")
-    # A flight that has begun is given up after a question only.
+    # A flight that has begun is given up after a question only, also while its first move is on the way.
+    moved: list[Route] = []
+    page.route("**/flights/change", lambda route, _: moved.append(route))
     page.keyboard.press(" ")
+    until(page, lambda: bool(moved))
     task(page, "Easy").click()
+    expect(page.get_by_role("dialog")).to_contain_text("your flight at step 1?")
     press(page, "Keep flying")
     expect_task(page, "Map of the day")
+    moved[0].continue_()
+    page.unroute("**/flights/change")
+    expect(moves(page)).to_have_count(1)
     page.keyboard.press("Escape")
 
 

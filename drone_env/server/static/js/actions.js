@@ -10,7 +10,7 @@ export function actionsOf(context, race) {
   async function givingUp(act, yes = "Give up") {
     const { begun } = race;
     const question = yes === "Give up" ? yes : `${yes}, and give up`;
-    if (begun && !(await ask(`${question} your flight at step ${begun.steps}?`, yes, "Keep flying"))) return;
+    if (begun && !(await ask(`${question} your flight at step ${begun.flown}?`, yes, "Keep flying"))) return;
     act();
   }
   /** Starts other flights. Missing parts come from the flights that are shown, also from a stored one. */

@@ -81,7 +81,7 @@ export class Race extends Emitter {
   /** The visitor's flight once it contains a move that another start would discard, or null. */
   get begun() {
     const { mine } = this;
-    return mine && mine.steps > (mine === this.forked ? this.setup.fork : 0) ? mine : null;
+    return mine && mine.flown > (mine === this.forked ? this.setup.fork : 0) ? mine : null;
   }
 
   /** Whether keys fly: in the flight that is shown, or in one that is starting. */

@@ -119,6 +119,11 @@ export class Track {
     return this.frames.at(-1);
   }
 
+  /** The number of steps with those that are on their way to the server. */
+  get flown() {
+    return this.steps + this.pending.filter((change) => change !== "VALUES" && change !== "UNDO").length;
+  }
+
   /** The move or the loop that lost most, once the flight is annotated; or null. */
   get worst() {
     return this.annotation?.worst ?? null;
