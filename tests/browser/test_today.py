@@ -5,7 +5,7 @@ from collections.abc import Callable
 from datetime import datetime, timedelta, timezone
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from drone_env.core.tasks import get_task
 from drone_env.flights.provenance import Provenance
@@ -33,8 +33,12 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     field, entry = page.locator("#name"), page.locator(".best-today li")
     # Junk in the storage is no name and no result.
     page.evaluate("localStorage['drone-env-name'] = '<b>'; localStorage['drone-env-best'] = '[[1], 7, null]'")
+    late: list[Route] = []
+    page.route("**/today", lambda route, _: route.continue_() if late else late.append(route))
     over(page, seed, f"/?task={task}&seed={seed}&pilot=human")
     expect_step(page, 0, get_task(task).max_steps)
+    until(page, lambda: bool(late))
+    before = late[0].fetch()
     refused = page.get_by_role("alert").filter(has_text="without spaces")
     for name, shown in (("not a name", 1), (" undo ", 0)):
         enter(field, name)
@@ -43,6 +47,11 @@ def test_the_map_of_the_day_is_flown_under_a_name_and_the_page_remembers_the_bes
     keys(page, *(KEYS[DIRECTIONS[action]] for action in best.actions))
     ended(page)
     expect(entry).to_have_text([f"undo {points(best.score)}, {best.steps} steps"])
+    # An answer from before the flight that arrives only now changes nothing.
+    with page.expect_response("**/today"):
+        late[0].fulfill(response=before)
+    page.unroute("**/today")
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     score = points(best.score)
     shown = {"You": score, "Your best": score, "Possible": score, "Best today": score}
     until(page, lambda: figures(page) == shown)

@@ -23,7 +23,7 @@ export function mountResults(root, context, race, acts) {
   const [again, watch, over, next] = ways.querySelectorAll("button");
   const view = document.getElementById("view-fly");
   /** The flight that the card has announced, and the one whose card the visitor has closed. */
-  let [met, closed] = [null, null];
+  let [met, closed, request] = [null, null, 0];
   const isOver = () => root.classList.contains("over");
   onPress(root, {
     "close-results": dock,
@@ -125,9 +125,10 @@ export function mountResults(root, context, race, acts) {
 
   async function analyse() {
     const { task } = stage.world;
+    const mine = ++request;
     const failed = ({ message }) => ({ failed: message });
     const answer = await context.api.get(`analyse/${encodeURIComponent(task.id)}`).catch(failed);
-    if (stage.world.task !== task) return;
+    if (mine !== request || stage.world.task !== task) return;
     analysis.dataset.task = task.id;
     analysis.replaceChildren(...statistics(answer, title(task.short_name)));
   }

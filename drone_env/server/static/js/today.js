@@ -61,7 +61,7 @@ function ownDays() {
 /** @param {HTMLElement} root @param {Context} context @param {Race} race */
 export function mountByHand(root, context, race, acts) {
   const { api, stage } = context;
-  let [today, best, drawn] = [null, null, ""];
+  let [today, best, drawn, request] = [null, null, "", 0];
   const [head, figures, record, unlisted, list] = root.querySelectorAll("h2, dl, .own-days, #unlisted, ol");
   const refused = root.querySelector("#refused-name");
   const field = root.querySelector("input");
@@ -119,7 +119,11 @@ export function mountByHand(root, context, race, acts) {
   /** Without an answer, the page shows the list that it has. */
   async function ask() {
     if (!race.own) return;
-    today = await api.get("today").catch(() => today);
+    const mine = ++request;
+    const answer = await api.get("today").catch(() => null);
+    // An answer that a later one has overtaken is old.
+    if (mine !== request) return;
+    today = answer ?? today;
     draw();
   }
 
