@@ -493,7 +493,7 @@ def results(options: Options) -> dict[str, Any]:
 def settings_of(
     options: Options, name: str, keys: tuple[str, ...], saved: dict[str, Any] | None = None
 ) -> dict[str, str] | None:
-    """These options of a model that is to be trained, or goes on from `saved`; None if it is trained."""
+    """The options `keys` of a model to train, or to continue from `saved`; None if it is already trained."""
     settings = {key: str(value) for key, value in asdict(options).items() if key in keys}
     known = saved or results(options).get(name)
     if known and known["settings"] != settings:

@@ -3,7 +3,7 @@
 `POST /NAME/script` opens an endpoint at `/NAME/v1`. Its body contains:
 - `pilot`: perfect, greedy, plan, able (perfect or greedy, as the prompt allows), or a text to answer with.
 - `latency`: seconds.
-- `together`: the number of first requests that are answered only when all of them have come.
+- `together`: a number of requests; the endpoint answers none until this many have come.
 - `rejects`: the message of the 400 for each field, and for the role `system`, that a request may not contain.
 - `faults`: a list of [first, last, fault] by the number of the request from 0; the first match applies.
 """

@@ -73,7 +73,7 @@ export function mountCompare(root, context) {
     try {
       await context.meet(named);
       const path = `leaderboard/${encodeURIComponent(named)}`;
-      // Before the boards: what they miss is not known, so its news load them again.
+      // Asked before the boards: a flight that they miss is not in `known` either, so its news load them again.
       const { episodes } = await api.get("episodes", { task: named, limit: NEWEST });
       if (mine !== request) return;
       known = new Set(episodes.map((one) => JSON.stringify(one)));
@@ -127,7 +127,7 @@ export function mountCompare(root, context) {
     const id = context.task(asked)?.id;
     // A flight that ended, or whose optimum is computed.
     if (episodes.every((one) => one.task !== id || known.has(JSON.stringify(one)))) return;
-    // What is on its way is shown first: where flights end all the time, the page would never show anything.
+    // The present request shows its answers first: if flights end all the time, the page would otherwise show none.
     outdated = true;
     if (!asking) show();
   });
